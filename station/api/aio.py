@@ -110,6 +110,7 @@ class AsyncStation(_Asynchronous[Station]):
     release = _awaited(Station.release)
     arm = _awaited(Station.arm)
     disarm = _awaited(Station.disarm)
+    release_motors = _awaited(Station.release_motors)
     policies = _awaited(Station.policies)
     switch_policy = _awaited(Station.switch_policy)
 

@@ -21,7 +21,7 @@ from station.bus.watch import Watch
 from station.contract import Contract
 from station.description import RobotDescription
 from station.errors import BusError, NotReady, UsageError
-from station.life import arm_request, policy_request
+from station.life import arm_request, controller_request, policy_request
 from station.life.event_feed import EventFeed
 from station.life.events import Event
 from station.life.policy_request import Policies
@@ -351,6 +351,21 @@ class Station:
     def disarm(self, robot: str = "", *, reason: str = "") -> dict[str, list[str]]:
         """Send nothing to a robot any more; as `arm`."""
         return arm_request.ask(self._bus, "disarm", name=robot, reason=reason)
+
+    def release_motors(self, robot: str = "") -> list[str]:
+        """Have a controller of a robot's own let go of its motors: the robot goes limp; return the robots' names.
+
+        Args:
+            robot: Its name, or that of its server; "" for every one on the bus.
+
+        Raises:
+            NotReady: no such robot, or no answer in time.
+            Refused: it is armed, it has no such controller, or that does not let go; with the reason.
+        """
+        found = list(arm_request.robots_of(self._bus, robot).values())
+        for name in found:
+            controller_request.ask(self._bus, name, "release", within_s=controller_request.RELEASED_WITHIN_S)
+        return found
 
     def policies(self, robot: str = "") -> list[Policies]:
         """Return for each robot here, or for the one that is named, which policy drives it and which ones may.

@@ -71,7 +71,7 @@ def holds(channels: Collection[Channel]) -> Holds:
         return "json" if all(channel.encoding == layout.JSON for channel in channels) else "bytes"
     if contract.codec in pictures.FORMATS:
         return "pictures"
-    if contract.vector_codec is not None or contract.codec == "integer":
+    if contract.vector_codec is not None or contract.codec in ("integer", "f64-rows"):
         return "numbers"
     return "json" if contract.codec == "json" else "text"
 

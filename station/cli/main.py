@@ -40,6 +40,7 @@ VERBS = {
     "estop": "Stop every robot on the bus; --reset releases.",
     "arm": "Let targets go to a robot, with a gentle start.",
     "disarm": "Send nothing to a robot any more.",
+    "release-motors": "Have a real robot's own controller let go of its motors.",
     "policy": "See which policy drives a robot; have another take over.",
     "record": "Start, stop, mark or discard an episode.",
     "episodes": "List, show, check and look after what has been recorded.",

@@ -18,6 +18,10 @@ WITHIN_S = 8.0
 """Longest wait for an answer [s]: clearing gives up after five."""
 
 
+RELEASED_WITHIN_S = 15.0
+"""Longest wait for a release [s]: a robot is asked again for ten seconds."""
+
+
 class ControllerRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is asked for.
 

@@ -25,7 +25,7 @@ IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release", "twin")
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release-motors", "twin")
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,7 +84,7 @@ class Releasing(msgspec.Struct, frozen=True, kw_only=True):
     """What a step asks for: a controller of the robot's own to let go of its motors. The robot goes limp."""
 
     server: str
-    within_s: float = 15.0
+    within_s: float = controller_request.RELEASED_WITHIN_S
 
     def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Ask for it and wait until it is done.
@@ -98,7 +98,7 @@ class Releasing(msgspec.Struct, frozen=True, kw_only=True):
         return f"{robot}: its own controller has let go of the motors"
 
     def __str__(self) -> str:
-        return f"release {self.server}"
+        return f"release-motors {self.server}"
 
 
 class TwinChange(msgspec.Struct, frozen=True, kw_only=True):
@@ -359,7 +359,7 @@ _ASKED: dict[str, tuple[Any, tuple[str, ...]]] = {
     "arm": (Arming, ("server",)),
     "disarm": (Arming, ("server",)),
     "policy": (TakingOver, ("policy", "robot")),
-    "release": (Releasing, ("server",)),
+    "release-motors": (Releasing, ("server",)),
     "twin": (TwinChange, ("twin", "faults", "then_wait")),
 }
 """What is asked of a robot or its twin, by the step's name: its type, and its fields; the first is the step's own."""

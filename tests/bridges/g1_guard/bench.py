@@ -61,7 +61,8 @@ class FakeRobot:
 
     def __init__(self, number: int, before: Callable[[], None] = lambda: None) -> None:
         from adapters.robots.g1.dds import messages, types
-        from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+        from adapters.robots.g1.dds.network import Network, raw
+        from adapters.robots.g1.dds.options import NetworkOptions
 
         self._messages, self._before = messages, before
         self._network = Network(NetworkOptions(domain=number))
@@ -98,9 +99,9 @@ class FakeRobot:
                 message = self._messages.signed(state)
                 self._writer.write(message if self.is_signed else message[:-1] + bytes([message[-1] ^ 1]))
             for came in self._reader.take():
-                record = self._messages.command(came.data)
+                record = self._messages.command(came)
                 assert record is not None
-                intact = self._messages.is_intact(came.data)
+                intact = self._messages.is_intact(came)
                 self.received.append(Received(time.monotonic_ns(), record[0], intact))
             next_s = max(next_s + 0.002, time.monotonic() - 0.01)
             time.sleep(max(0.0, next_s - time.monotonic()))

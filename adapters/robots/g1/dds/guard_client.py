@@ -246,6 +246,23 @@ def status(datagram: bytes, now_ns: int = 0) -> GuardStatus | None:
     )  # fmt: skip
 
 
+def shown(said: GuardStatus) -> dict[str, Any]:
+    """Return what a recording keeps of what a guard said."""
+    return {
+        "state": said.state.name.lower(), "reason": WORDS[said.reason], "why_not_arm": WORDS[said.why_not],
+        "state_age_s": _finite(said.state_age_s), "command_age_s": _finite(said.command_age_s),
+        "round_trip_s": said.round_trip_ns * 1e-9, "command_seq": said.command_seq, "sent": said.sent,
+        "accepted": said.accepted, "refused": {why.name.lower(): count for why, count in said.refused.items() if count},
+        "states": said.states, "states_damaged": said.bad_states, "frozen": said.freezes, "damped": said.damped,
+        "clamped": said.clamped, "late_max_s": said.max_late_s, "is_realtime": said.is_realtime,
+        "foreign": said.foreign,
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def _age_s(age_us: Any) -> float:
     return math.inf if age_us == _NEVER else int(age_us) / 1e6
 

@@ -31,6 +31,11 @@ _BATTERY = Contract(
     rate_hz=None, note="as the robot's battery says",
 )  # fmt: skip
 
+_GUARD = Contract(
+    key=keys.state(f"guard_{ROBOT}"), family="station", role="state", codec="json", rate_hz=10.0,
+    note="what the guard of the motors says: its state and why, what it sent, took and refused",
+)  # fmt: skip
+
 
 def _make(options: G1DdsOptions, control_dt_s: float) -> Robot:
     libraries.expect(f"the robot {NAME}", "cyclonedds", "g1")
@@ -41,7 +46,7 @@ def _make(options: G1DdsOptions, control_dt_s: float) -> Robot:
 
 def _describe(command_format: CommandFormat) -> RobotDescription:
     found = description.of_server(command_format)
-    return msgspec.structs.replace(found, streams=(*found.streams, _SAMPLES, _BATTERY))
+    return msgspec.structs.replace(found, streams=(*found.streams, _SAMPLES, _BATTERY, _GUARD))
 
 
 DDS = RobotKind(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -44,12 +44,16 @@ class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fie
         mode_machine: What the robot says it is when it is of the kind that the policy was made for: 5 for 29 joints, 6
             for a locked waist.
         first_state_within_s: Longest wait for its first state [s].
+        guard, guard_port: Address of the guard (`bridges/g1_guard`) that owns the motors; "" for none: then nothing
+            damps the robot when this process dies.
         remote: What buttons of the remote ask for: ``arm``, ``policy`` (the next one), ``disarm``. Select, and L2 with
             B, stop the robot whatever is set here.
     """
 
     mode_machine: Literal[5, 6] = 5
     first_state_within_s: float = 5.0
+    guard: str = ""
+    guard_port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 47029
     remote: dict[str, Action] = {}
 
     def __post_init__(self) -> None:

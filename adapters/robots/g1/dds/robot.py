@@ -1,12 +1,11 @@
 """A real Unitree G1 with 29 joints, over its own network: what it sends, and what it is sent.
 
 Nothing is sent before the first arming. From then on there is a command in every period: the policy's targets, or
-damping.
+damping. Where a guard owns the motors, commands go to it.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,7 +14,9 @@ from numpy.typing import NDArray
 
 from adapters.robots.g1.dds import messages, rows, topics, types
 from adapters.robots.g1.dds.condition import JOINTS, Condition
-from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.guard_limits import most_gains
+from adapters.robots.g1.dds.line import DirectLine, GuardedLine, Line
+from adapters.robots.g1.dds.network import Network
 from adapters.robots.g1.dds.options import G1DdsOptions
 from adapters.robots.g1.dds.remote import Remote
 from adapters.robots.g1.dds.switcher import Switcher
@@ -27,9 +28,6 @@ from station.errors import NotReady, StationError
 from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
 from station.rotations import tilt
 
-DAMPING_KD = 8.0
-"""Of every joint of a robot that is damped [N m s/rad]: what others that drive a G1 use."""
-
 FIRST_STEPS = 10
 """Commands after arming that ask for the measured pose, without stiffness."""
 
@@ -39,13 +37,9 @@ ENTRY_S = 2.5
 GENTLE_S, GENTLE_RAD_S = 5.0, 0.9
 """For how long after arming no target moves faster than that: below 0.02 rad in a control period."""
 
-# Half as much again as the stiffest that anybody drives a G1 with: xr_teleoperate's legs 300, RLLAB's arms 40, kd 10.
-_MOST_KP = np.array([450.0] * 15 + [150.0] * 14)
-_MOST_KD = np.array([15.0] * JOINTS)
+_MOST_KP, _MOST_KD = np.array([most_gains(name) for name in G1_29]).T
 
 _DEPTH = 512  # a second of states
-_WRITERS_EVERY = 10  # periods; to look through what was discovered takes 0.1 ms
-_CLOSING_S = 0.3
 
 
 class G1Dds:
@@ -72,22 +66,21 @@ class G1Dds:
         self._network = Network(options)
         self._states = self._network.reader(topics.LOW_STATE, types.LowState, _DEPTH)
         self._batteries = self._network.reader(topics.BATTERY, types.BmsState, depth=8)
-        self._commands = self._network.writer(topics.LOW_CMD, raw(types.LowCmd))
         self._switcher = Switcher(self._network, clock)
-        self._command = messages.new_command()
-        messages.set_modes(self._command, np.ones(JOINTS, np.uint8))
         self._state: RobotState | None = None
         self._newest: NDArray[Any] | None = None
         self._samples: list[NDArray[np.float64]] = []
         self._battery = b""
-        self._has_sent = False
         self._steps = -1  # since it was armed; -1 while it is damped
         self._entry_q: Floats = np.zeros(JOINTS)
         self._sent_q: Floats = np.zeros(JOINTS)
-        self._reads = 0
-        self._other_writer = ""
         self._bad_targets = ""
         try:
+            self._line: Line = (
+                GuardedLine(options.guard, options.guard_port, clock)
+                if options.guard
+                else DirectLine(self._network, control_dt_s, clock)
+            )
             self._await_first_state(where)
         except StationError:
             self._network.close()
@@ -97,10 +90,7 @@ class G1Dds:
         """Return the newest measurement; what came before it since the last call goes to `values`."""
         self._take()
         self._switcher.poll()
-        self._reads += 1
-        if self._reads % _WRITERS_EVERY == 1:
-            others = self._network.writers_of(topics.LOW_CMD)
-            self._other_writer = str(others[0]) if others else ""
+        self._line.poll()
         assert self._state is not None
         return self._state
 
@@ -123,8 +113,9 @@ class G1Dds:
         if self._bad_targets or (why_not := _why_not_send(targets)):
             self._bad_targets = self._bad_targets or why_not
             self._send_damping()
-            zeros: Floats = np.zeros(JOINTS)
-            return JointTargets(self._measured_q(), zeros, np.full(JOINTS, DAMPING_KD))
+            return self._limp()
+        if not self._line.open():  # a handshake takes a period or two
+            return self._limp()
         if self._steps < 0:
             self._steps, self._entry_q = 0, self._measured_q()
             self._sent_q = self._entry_q
@@ -136,7 +127,8 @@ class G1Dds:
         q = np.clip(q, self._lower, self._upper)
         self._steps += 1
         self._sent_q = q
-        self._send(q, kp, targets.kd)
+        assert self._newest is not None
+        self._line.send(self._newest, q, kp, targets.kd)
         return JointTargets(q, kp, targets.kd)
 
     def damp(self) -> None:
@@ -146,8 +138,12 @@ class G1Dds:
 
     def _send_damping(self) -> None:
         self._steps = -1
-        if self._has_sent:
-            self._send(self._measured_q(), np.zeros(JOINTS), np.full(JOINTS, DAMPING_KD))
+        assert self._newest is not None
+        self._line.damp(self._newest, self._measured_q())
+
+    def _limp(self) -> JointTargets:
+        zeros: Floats = np.zeros(JOINTS)
+        return JointTargets(self._measured_q(), zeros, zeros)
 
     def fallen(self) -> Fall | None:
         """Return that it leans too far; what touches the ground it does not know."""
@@ -170,7 +166,7 @@ class G1Dds:
                 f"the robot says that it is of mode_machine {machine} ({known.get(machine, 'unknown')}); expected "
                 f"{self._options.mode_machine}; set mode_machine once the policy is known to be for that robot"
             )
-        return self._condition.why_not_arm(now_s)
+        return self._line.why_not_arm() or self._condition.why_not_arm(now_s)
 
     def why_not_drive(self) -> str:
         """Return why its joints have to be damped now, or ""."""
@@ -181,9 +177,7 @@ class G1Dds:
             return f"the robot's own controller {self._switcher.controller!r} has the motors; release it first"
         if self._bad_targets:
             return self._bad_targets
-        if self._other_writer:
-            return f"another program writes {topics.LOW_CMD}: {self._other_writer}"
-        return self._condition.why_not_drive(now_s)
+        return self._line.why_not_drive() or self._condition.why_not_drive(now_s)
 
     def why_stand(self) -> str:
         """Return why it has to stop what it does and stand, to be damped a moment later, or ""."""
@@ -208,7 +202,7 @@ class G1Dds:
         self._samples = []
         if self._battery:
             found["battery"], self._battery = self._battery, b""
-        return found
+        return found | self._line.values()
 
     def health(self) -> dict[str, Any]:
         """Return what a heartbeat tells of it."""
@@ -228,17 +222,13 @@ class G1Dds:
             "domain": self._options.domain,
             "mode_machine": int(self._newest["mode_machine"]),
             "firmware": self._newest["version"].tolist(),
-            "guard": "none",
+            "guard": self._line.guard,
         }
 
     def close(self) -> None:
         """Leave it damped."""
-        if self._has_sent:
-            until_s = self._clock.monotonic_s() + _CLOSING_S
-            while self._clock.monotonic_s() < until_s:
-                with contextlib.suppress(StationError):
-                    self.damp()
-                self._clock.sleep(self._dt_s)
+        assert self._newest is not None
+        self._line.close(self._newest, self._measured_q())
         self._network.close()
 
     def _await_first_state(self, where: str) -> None:
@@ -266,15 +256,6 @@ class G1Dds:
         share = share * share * (3.0 - 2.0 * share)
         most = GENTLE_RAD_S * self._dt_s
         return self._sent_q + np.clip(self._entry_q + share * (q - self._entry_q) - self._sent_q, -most, most)
-
-    def _send(self, q: Floats, kp: Floats, kd: Floats) -> None:
-        assert self._newest is not None
-        command = self._command
-        command["mode_machine"] = self._newest["mode_machine"]
-        motors = command["motors"][0, :JOINTS]
-        motors["q"], motors["kp"], motors["kd"] = q, kp, kd
-        self._commands.write(messages.signed(command))
-        self._has_sent = True
 
 
 def _why_not_send(targets: JointTargets) -> str:

@@ -93,8 +93,9 @@ class G1Twin:
 
     def health(self) -> dict[str, Any]:
         """Return what the heartbeat tells of it."""
-        firmware = self.firmware
+        firmware, held = self.firmware, self.body.held
         return {
+            "is_stiff": bool(held.kp.any()), "is_damped": bool(held.kd.any() and not held.kp.any()),
             "accepted": firmware.accepted, "refused": dict(firmware.refused), "states": dict(self._sent),
             "controller": firmware.controller, "damped_by_remote": firmware.is_damped, "falls": self.body.falls,
             "pelvis_m": round(self.body.height_m, 4), "tilt_rad": round(self.body.tilt_rad, 4),

@@ -215,7 +215,7 @@ def _ask(found: Bench, **changed: Any) -> JointTargets:
 
 
 @pytest.mark.parametrize(("changed", "words"), [
-    ({"kp": np.full(29, 1000.0)}, "asked for a stiffness of 1000 of left_hip_pitch; at most 450"),
+    ({"kp": np.full(29, 1000.0)}, "asked for a stiffness of 1000 of left_hip_pitch; at most 200"),
     ({"kp": np.full(29, np.nan)}, "asked for a stiffness of nan"),
     ({"kd": np.full(29, -1.0)}, "asked for a damping of -1"),
     ({"q": np.full(29, np.inf)}, "asked for a position that is no number"),
