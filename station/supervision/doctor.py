@@ -177,9 +177,24 @@ def _troubles(health: Health, key: str) -> Iterator[Finding]:
         listed = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
         yield Finding("warning", key, f"commands refused since the start: {listed}",
                       f"mend its writer: station keys {key}")  # fmt: skip
+    yield from _against_arming(health)
     if falls := health.detail.get("falls"):
         yield Finding("warning", f"server {health.name}", f"the robot has fallen ({falls} times since the start)",
                       "a simulated one is put back on its feet by: station estop --reset")  # fmt: skip
+
+
+def _against_arming(health: Health) -> Iterator[Finding]:
+    """Yield what a robot that checks itself has against being armed, and whether anything would damp it without us."""
+    subject, why_not = f"server {health.name}", health.detail.get("why_not_arm")
+    if not isinstance(why_not, str):
+        return
+    if why_not:
+        yield Finding("broken", subject, f"its robot is not to be armed: {why_not}", "mend that, then: station arm")
+    else:
+        yield Finding("ok", subject, "nothing is against arming its robot")
+    if health.detail.get("guard") == "none":
+        yield Finding("warning", subject, "no guard owns the motors: who damps the robot when this server dies?",
+                      "run its guard, and name that in robot_options")  # fmt: skip
 
 
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:

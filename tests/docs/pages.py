@@ -147,6 +147,17 @@ PAGES = {
         "station kassow controller": Typed(elsewhere="tests/faults/test_kassow.py"),
         "station serve kassow": Typed(elsewhere="tests/faults/test_kassow.py"),
     }, _limits),
+    "docs/g1-real.md": Page({
+        "pip install": _INSTALLS,
+        "station up g1-twin-motion --yes --record": Typed(elsewhere="tests/main_job/test_real_g1.py"),
+        "station check": Typed(elsewhere="tests/main_job/test_real_g1.py"),
+        "station robot-twin g1 state_silent": Typed(elsewhere="tests/servers/test_robot_twin.py, beside one that runs"),
+        "station robot-twin g1 --well": Typed(elsewhere="tests/servers/test_robot_twin.py, beside one that runs"),
+        "station doctor": Typed(elsewhere="beside a robot"),
+        "make -C bridges": Typed(elsewhere="tests/bridges/g1_guard/test_build.py"),
+        "bridges/g1_guard": Typed(elsewhere="tests/bridges/g1_guard/test_station.py"),
+        "station up g1-twin-motion --yes --set": Typed(elsewhere="tests/bridges/g1_guard/test_station.py"),
+    }, has_upstream_data=False),
     "docs/runbooks.md": Page({
         "station up g1-sim-motion.yaml": Typed(instead="station up ./g1-sim-motion.yaml --yes --for 5s"),
     }),

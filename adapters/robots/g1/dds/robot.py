@@ -211,6 +211,7 @@ class G1Dds:
             "state_ms_lost": self._condition.lost_ticks,
             "own_controller": self._switcher.controller,
             "why_not_arm": self.why_not_arm(),
+            "guard": self._line.guard,
         }
 
     def facts(self) -> dict[str, Any]:

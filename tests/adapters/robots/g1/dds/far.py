@@ -34,7 +34,7 @@ def running(role: str, seconds: float) -> Iterator[subprocess.Popen]:
             child.communicate()
 
 
-def _outcome(child: subprocess.Popen) -> dict[str, float]:
+def outcome(child: subprocess.Popen) -> dict[str, float]:
     said, _ = child.communicate(timeout=60)
     assert child.returncode == 0, f"it died with {child.returncode}"
     return json.loads(said.splitlines()[-1])
@@ -58,7 +58,7 @@ def command_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
                 command["motors"]["q"][0, 0] = sent
                 writer.write(messages.signed(command))
             time.sleep(0.02)
-        return _outcome(child), came, damaged
+        return outcome(child), came, damaged
 
 
 def be_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
@@ -76,4 +76,4 @@ def be_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
             came += len(said)
             damaged += sum(not messages.is_intact(each) for each in said)
             time.sleep(0.002)
-        return _outcome(child), came, damaged
+        return outcome(child), came, damaged
