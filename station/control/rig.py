@@ -21,7 +21,7 @@ from station.control.envelope import Envelope
 from station.control.gate import GateConfig
 from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch, needs_root_velocity
 from station.errors import AssetMissing, BadFile, ConfigError, did_you_mean
-from station.protocols import CommandFormat, Policy, PolicySpec, Robot, RobotState, SelfChecking
+from station.protocols import CommandFormat, Policy, PolicySpec, Robot, RobotState
 from station.robot_kind import RobotKind
 
 
@@ -138,9 +138,9 @@ class Rig(msgspec.Struct, frozen=True):
         if self.kind.values is not None:
             driving = self.policy.policy if isinstance(self.policy, PolicySwitch) else self.policy
             values |= self.kind.values(state, driving, name)
-        if isinstance(self.robot, SelfChecking):
-            values |= {keys.state(f"{stream}_{name}"): value for stream, value in self.robot.values().items()}
-        # What `HasGroundTruth` has; `isinstance` would read it as well, and take five times as long in each tick.
+        # What `SelfChecking` and `HasGroundTruth` have; `isinstance` would take five times as long in each tick.
+        if (measured := getattr(self.robot, "values", None)) is not None:
+            values |= {keys.state(f"{stream}_{name}"): value for stream, value in measured().items()}
         if (qpos := getattr(self.robot, "qpos", None)) is not None:
             values[keys.sim_qpos(name)] = codec.f64(qpos)
         return values

@@ -182,6 +182,10 @@ class Reader:
         """Return the messages since the last call as they came, header included, oldest first."""
         return [message.data for message in self._reader.take(self._depth) if isinstance(message, RawMessage)]
 
+    def writers(self) -> int:
+        """Return how many writers of the topic there are now, those of this process too."""
+        return len(self._reader.get_matched_publications())
+
     def take_objects(self) -> list[Any]:
         """Return the messages since the last call as objects of the type, oldest first; what is none is counted."""
         found = []

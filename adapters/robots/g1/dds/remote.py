@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +12,7 @@ from adapters.robots.g1.dds.buttons import BUTTONS
 STOPS = (frozenset({"select"}), frozenset({"L2", "B"}))
 """Buttons that stop while they are held together, whatever else is held."""
 
-_DEBOUNCE = 2  # messages: one damaged frame has pressed A on a real robot
-_HEAD = (0x55, 0x51)
+_HEADS = (0x5155, 0)  # as it is on air; the second of a remote that is off, or of firmware that sends none
 
 
 class Sticks(NamedTuple):
@@ -30,7 +28,7 @@ class Remote:
     """Follows the remote from message to message.
 
     Attributes:
-        held: Buttons that are down in `_DEBOUNCE` messages in a row.
+        held: Buttons that are down in two messages in a row: one damaged message has pressed A on a real robot.
         sticks: Where the sticks are.
         is_on: Whether the newest message was of a remote that is on.
     """
@@ -39,25 +37,26 @@ class Remote:
         self.held: frozenset[str] = frozenset()
         self.sticks = Sticks(0.0, 0.0, 0.0, 0.0)
         self.is_on = False
-        self._last: list[frozenset[str]] = []
+        self._bits = self._last = 0
         self._pressed: list[str] = []
 
-    def update(self, messages: Iterable[NDArray[np.uint8]]) -> None:
-        """Take the bytes of messages, oldest first, shape (40,) each; those with another head do not count."""
-        for data in messages:
-            self.is_on = bool(data.any())
-            is_sound = tuple(data[:2]) in (_HEAD, (0, 0))
-            if self.is_on and not is_sound:
+    def update(self, remotes: NDArray[np.uint8]) -> None:
+        """Take the bytes of messages, oldest first, shape (k, 40); those with another head do not count."""
+        self.is_on = bool(remotes[-1].any())
+        heads, bits = remotes[:, :2].view("<u2")[:, 0].tolist(), remotes[:, 2:4].view("<u2")[:, 0].tolist()
+        for head, came in zip(heads, bits, strict=True):
+            if head not in _HEADS:
                 continue
-            bits = int(data[2]) | int(data[3]) << 8
-            self._last = [*self._last[1 - _DEBOUNCE :], frozenset(n for i, n in enumerate(BUTTONS) if bits >> i & 1)]
-            if len(self._last) < _DEBOUNCE:
-                continue
-            held = frozenset.intersection(*self._last)
-            self._pressed += sorted(held - self.held)
-            self.held = held
-            numbers = data.view("<f4")
-            self.sticks = Sticks(float(numbers[1]), float(numbers[5]), float(numbers[2]), float(numbers[3]))
+            both, self._last = came & self._last, came
+            if both != self._bits:
+                self._change(both)
+        left_x, right_x, right_y, _, left_y = remotes[-1].view("<f4")[1:6].tolist()
+        self.sticks = Sticks(left_x, left_y, right_x, right_y)
+
+    def _change(self, bits: int) -> None:
+        held = frozenset(name for number, name in enumerate(BUTTONS) if bits >> number & 1)
+        self._pressed += sorted(held - self.held)
+        self._bits, self.held = bits, held
 
     @property
     def stop(self) -> str:

@@ -101,7 +101,7 @@ class G1Dds:
         self._condition.on_states(records, len(came) - len(records), now_s)
         if len(records):
             self._newest = records[-1]
-            self._remote.update(records["remote"])
+            self._remote.update(np.ascontiguousarray(records["remote"]))
             self._samples.append(rows.of(records))
             self._state = _state(self._newest, self._clock.monotonic_ns())
         for battery in self._batteries.take_objects():

@@ -178,6 +178,8 @@ class TwinBody:
             return
         wanted_m = self._standing_rope_m + _ROPE_FROM_STANDING_M[self._faults.gantry]
         self._rope_m += float(np.clip(wanted_m - self._rope_m, -_ROPE_MOVES_M_S * dt_s, _ROPE_MOVES_M_S * dt_s))
+        if self._faults.gantry == "slack":  # it is on wheels, and goes with the robot
+            self._anchor[:2] = self._data.xpos[self._torso][:2]
         along = self._anchor - self._data.xpos[self._torso]
         distance = float(np.linalg.norm(along))
         if distance <= self._rope_m:
