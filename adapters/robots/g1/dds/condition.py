@@ -81,6 +81,8 @@ class Condition:
             if now_s - self._heard_s <= SILENT_S:
                 return f"its clock stands still: states come, and their tick has not counted for {silent_s:.2f} s"
             return f"no state of the robot for {silent_s:.2f} s on {self._where}"
+        if not self._is_finite():
+            return "the robot reports what is no number"
         lean = self._lean()
         return f"the pelvis leans {np.degrees(lean):.0f} degrees" if lean > FALL_TILT_RAD else ""
 
@@ -147,6 +149,12 @@ class Condition:
             if bits:
                 return f"motor {name} reports the error 0x{bits:x}"
         return ""
+
+    def _is_finite(self) -> bool:
+        newest, motors = self._newest, self._motors()
+        assert newest is not None
+        pelvis = bool(np.isfinite(newest["quat_wxyz"]).all() and np.isfinite(newest["gyro"]).all())
+        return pelvis and bool(np.isfinite(motors["q"]).all() and np.isfinite(motors["dq"]).all())
 
     def _motors(self) -> NDArray[Any]:
         assert self._newest is not None

@@ -245,8 +245,9 @@ class G1Dds:
                 )
 
     def _measured_q(self) -> Floats:
+        """Return where the joints are; of one that reports no number, where it was last asked to be."""
         assert self._state is not None
-        return self._state.q
+        return np.where(np.isfinite(self._state.q), self._state.q, self._sent_q)
 
     def _gentle(self, q: Floats) -> Floats:
         """Return targets that leave the pose in which the robot was armed slowly."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -374,3 +375,14 @@ def test_buttons_of_the_remote_arm_and_choose_the_policy():
             found.run(2.2)
             assert found.control.arming.state == state, found.events
         assert found.policies.driving == "tracker"
+
+
+def test_a_robot_that_reports_no_numbers_is_damped_and_sent_none():
+    with bench() as found:
+        found.plug_in()
+        found.hang()
+        measure = found.twin.body.measure
+        found.twin.body.measure = lambda: replace(measure(), q=np.full(29, np.nan))
+        assert steps_until_damped(found) <= 2
+        assert found.reason("robot-gave-up") == "the robot reports what is no number"
+        assert "not finite" not in found.twin.firmware.refused
