@@ -8,7 +8,7 @@ import msgspec
 
 Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
 VectorCodec = Literal["json-vector", "f32", "f64"]
-Codec = Literal[VectorCodec, "f64-rows", "json", "jpeg", "png", "text", "integer"]
+Codec = Literal[VectorCodec, "f64-rows", "json", "jpeg", "png", "point-cloud", "text", "integer"]
 
 
 class Element(msgspec.Struct, frozen=True):
@@ -76,6 +76,8 @@ POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
 
 DEPTH_STEP_M = 0.001
 """What a step is in the depth pictures that the station's cameras write [m]."""
+
+IMU = elements((("gyro_x", "gyro_y", "gyro_z"), "rad/s"), (("acc_x", "acc_y", "acc_z"), "m/s^2"))
 
 TIMING_STAGES = ("command_written", "command_arrived", "state_read", "observed", "inferred", "sent")
 """Instants of one policy step, in the order of `keys.policy_timing`."""

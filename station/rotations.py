@@ -66,6 +66,16 @@ def roll_pitch_yaw(quat_wxyz: ArrayLike) -> Floats:
     return joined(roll, pitch, yaw)
 
 
+def from_roll_pitch_yaw(angles: ArrayLike) -> Floats:
+    """Return the quaternion of ZYX Euler angles roll, pitch, yaw [rad], shape (..., 4)."""
+    half = 0.5 * np.asarray(angles, dtype=np.float64)
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
+    return np.stack(
+        [cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+         cr * cp * sy - sr * sp * cy], axis=-1,
+    )  # fmt: skip
+
+
 def from_rotation_vector(vector: ArrayLike) -> Floats:
     """Return the quaternion of a rotation vector (axis times angle [rad]), shape (..., 4)."""
     vec = np.asarray(vector, dtype=np.float64)

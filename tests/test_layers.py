@@ -39,7 +39,7 @@ A_KEY = re.compile(
     r"(action_(body|hand|neck|mimic|joints)|state_(body|hand|neck|joints|tcp|counters|controller)|robot_state|policy_(obs|action|timing)|target|sim_qpos|root_velocity"
     r"|command_(gate|used|timing|source))_(?=$|\{|g1|unitree|kassow)"
     r"|^operator_(status|controls|head|left|right|body_(pos|quat)|hand_(left|right)|twist|joints)_(?=$|\{)"
-    r"|^camera_(image|depth)_(?=$|\{)|^(action|state)_$"
+    r"|^camera_(image|depth)_(?=$|\{)|^lidar_(cloud|imu)_(?=$|\{)|^(action|state)_$"
     r"|^station:\S|^t_(action|state)$|^controller_data$"
     r"|^motion_(start|exit)_signal$|" + twist_keys.TWIST2_ROBOT
 )

@@ -88,3 +88,8 @@ def test_shapes_broadcast_and_tilt_is_the_angle_of_the_z_axis() -> None:
     assert rotations.tilt([1.0, 0.0, 0.0, 0.0]) == 0.0
     assert rotations.multiply(lying, np.tile([1.0, 0.0, 0.0, 0.0], (3, 2, 1))).shape == (3, 2, 4)
     assert rotations.rotate(np.tile(lying, (5, 1)), [0.0, 0.0, 1.0]).shape == (5, 3)
+
+
+def test_roll_pitch_and_yaw_become_the_quaternion_that_has_them() -> None:
+    angles = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3))
+    np.testing.assert_allclose(rotations.roll_pitch_yaw(rotations.from_roll_pitch_yaw(angles)), angles, atol=1e-12)

@@ -15,7 +15,7 @@ import msgspec
 from station import registry
 from station.bus import joints, keys
 from station.bus.robot_streams import command_stream
-from station.contract import DEPTH_STEP_M, POSE, Codec, Contract, Element, Role, elements
+from station.contract import DEPTH_STEP_M, IMU, POSE, Codec, Contract, Element, Role, elements
 from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
 
@@ -233,8 +233,8 @@ def _of_any_robot(key: str, robots: Iterable[str]) -> Iterator[Contract]:
 
 
 def _of_everyone(key: str) -> Contract | None:
-    """Keys that are the same for every robot, device and camera."""
-    return _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
+    """Keys that are the same for every robot, device, camera and lidar."""
+    return _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key) or _of_lidar(key)
 
 
 def _station() -> list[Contract]:
@@ -326,6 +326,21 @@ def _of_camera(key: str) -> Contract | None:
         return Contract(
             key=key, family="station", role="sensor", codec="png", rate_hz=30.0, step_m=DEPTH_STEP_M, note=note
         )
+    return None
+
+
+def _of_lidar(key: str) -> Contract | None:
+    if keys.is_stamp(key):
+        return None
+    if key.startswith(keys.lidar_cloud("")):
+        note = (
+            "a foxglove.PointCloud without its time: fields, stride and points as the sensor gave them, its mount as "
+            "the pose; the stamp's capture_ns is when the cloud was whole, on its writer's monotonic clock"
+        )
+        return Contract(key=key, family="station", role="sensor", codec="point-cloud", rate_hz=10.0, note=note)
+    if key.startswith(keys.lidar_imu("")):
+        note = "in the lidar's own frame"
+        return Contract(key=key, family="station", role="sensor", codec="f64", elements=IMU, rate_hz=200.0, note=note)
     return None
 
 

@@ -176,6 +176,17 @@ def camera_depth(camera: str) -> str:
     return f"camera_depth_{camera}"
 
 
+# -- Ours, per lidar -----------------------------------------------------------------------------------------------
+def lidar_cloud(lidar: str) -> str:
+    """Newest point cloud of a lidar, as `station.point_cloud` has it."""
+    return f"lidar_cloud_{lidar}"
+
+
+def lidar_imu(lidar: str) -> str:
+    """Newest sample of the IMU in a lidar."""
+    return f"lidar_imu_{lidar}"
+
+
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who may press need not be able to release

@@ -23,6 +23,8 @@ COMPRESSED_IMAGE = "foxglove.CompressedImage"
 COMPRESSED_VIDEO = "foxglove.CompressedVideo"
 FRAME_TRANSFORM = "foxglove.FrameTransform"
 LOG = "foxglove.Log"
+PACKED_ELEMENT_FIELD = "foxglove.PackedElementField"
+POINT_CLOUD = "foxglove.PointCloud"
 POSE_IN_FRAME = "foxglove.PoseInFrame"
 POSES_IN_FRAME = "foxglove.PosesInFrame"
 
@@ -51,12 +53,26 @@ _TYPES: dict[str, tuple[Field, ...]] = {
         Field("timestamp", 1, TIMESTAMP), Field("frame_id", 2, "string"), Field("data", 3, "bytes"),
         Field("format", 4, "string"), Field("message_id", 100, "string"),
     ),
+    PACKED_ELEMENT_FIELD: (
+        Field("name", 1, "string"), Field("offset", 2, "fixed32"),
+        Field("type", 3, f"enum:{PACKED_ELEMENT_FIELD}.NumericType"),
+    ),
+    POINT_CLOUD: (
+        Field("timestamp", 1, TIMESTAMP), Field("frame_id", 2, "string"), Field("pose", 3, _POSE),
+        Field("point_stride", 4, "fixed32"), Field("fields", 5, PACKED_ELEMENT_FIELD, is_repeated=True),
+        Field("data", 6, "bytes"), Field("sensor_time", 100, TIMESTAMP, "ours: the sensor's own clock"),
+    ),
     LOG: (
         Field("timestamp", 1, TIMESTAMP), Field("level", 2, "enum:foxglove.Log.Level"), Field("message", 3, "string"),
         Field("name", 4, "string"), Field("file", 5, "string"), Field("line", 6, "fixed32"),
     ),
 }  # fmt: skip
-_ENUMS = {LOG: [("Level", ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"))]}
+_ENUMS: dict[str, list[tuple[str, tuple[str, ...]]]] = {
+    LOG: [("Level", ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"))],
+    PACKED_ELEMENT_FIELD: [
+        ("NumericType", ("UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"))
+    ],
+}
 _LEVELS: dict[Severity, int] = {"info": 2, "warning": 3, "error": 4}
 
 

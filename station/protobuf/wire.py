@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-_FIXED = {1: 8, 5: 4}  # bytes of a field by its wire type
-_VARINT, _BYTES = 0, 2
+from collections.abc import Iterator
+
+VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
+"""Wire types."""
+
+_FIXED = {FIXED64: 8, FIXED32: 4}  # bytes of a field by its wire type
 _LONGEST = 10  # bytes of a number
 
 
@@ -23,26 +27,46 @@ def bytes_of(message: bytes, number: int) -> bytes:
     Raises:
         ValueError: the bytes are no message.
     """
-    position, found = 0, b""
+    found = b""
+    for field, kind, start, end in fields(message):
+        if field == number and kind == BYTES:
+            found = message[start:end]
+    return found
+
+
+def number_at(message: bytes | memoryview, start: int) -> int:
+    """Return the number that begins at a byte.
+
+    Raises:
+        ValueError: none does.
+    """
+    return _read(message, start)[0]
+
+
+def fields(message: bytes | memoryview) -> Iterator[tuple[int, int, int, int]]:
+    """Iterate over the fields of a message: number, wire type, and from where to where its bytes are.
+
+    Raises:
+        ValueError: the bytes are no message.
+    """
+    position = 0
     while position < len(message):
         tag, position = _read(message, position)
         kind = tag & 7
-        if kind == _BYTES:
+        if kind == BYTES:
             size, position = _read(message, position)
             end = position + size
-            if tag >> 3 == number:
-                found = message[position:end]
-        elif kind == _VARINT:
+        elif kind == VARINT:
             _, end = _read(message, position)
         else:
             end = position + _FIXED.get(kind, len(message))
         if end > len(message):
             raise ValueError(f"a field reaches {end - len(message)} bytes beyond its end")
+        yield tag >> 3, kind, position, end
         position = end
-    return found
 
 
-def _read(message: bytes, position: int) -> tuple[int, int]:
+def _read(message: bytes | memoryview, position: int) -> tuple[int, int]:
     """Return the number at a place, and the place behind it."""
     found = shift = 0
     for at in range(position, min(position + _LONGEST, len(message))):

@@ -37,7 +37,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
             manifest can be read.
         task, robot, operator, started: As in the manifest; "" where unknown.
         seconds: Length from start to stop; None while unknown.
-        messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of signals and pictures.
+        messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of its files.
         dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
         tags: What people put on it.
@@ -147,7 +147,7 @@ def _started(row: EpisodeRow) -> datetime:
 
 
 def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
-    files = (file for name in (layout.SIGNALS, layout.CAMERAS) for file in folder.glob(name + "*"))
+    files = (file for names in layout.ALL_NAMES for file in folder.glob(names.final + "*"))
     size = sum(file.stat().st_size for file in files)
     try:
         manifest, problem = find_manifest(folder)

@@ -13,7 +13,8 @@ import msgspec
 from station.episode.reading.messages import Channel, Message, channel_of
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.pictures import VIDEO_FORMAT, picture_in, video_in
+from station.episode.storage.bulk import value_in
+from station.episode.storage.pictures import VIDEO_FORMAT, video_in
 from station.episode.storage.records import ChunkPlace, Contents, parse_chunk, read_chunk, walk
 from station.errors import EpisodeError
 from station.video import VideoDecoder
@@ -44,7 +45,7 @@ class Part:
     def __init__(self, path: Path, number: int = 0) -> None:
         self.path = path
         self._first_id = number * _CHANNELS
-        self._name = layout.CAMERAS if path.name in layout.CAMERAS_NAMES else layout.SIGNALS
+        self._name = next((names.final for names in layout.BULK_NAMES if path.name in names), layout.SIGNALS)
         self.contents = walk(path)
         if self.contents.profile != layout.PROFILE:
             raise EpisodeError(
@@ -52,7 +53,7 @@ class Part:
                 f"(profile {self.contents.profile!r}, expected {layout.PROFILE!r})"
             )
         self.anchor = _anchor(self.contents)
-        self.is_active = path.name in (layout.ACTIVE, layout.CAMERAS_ACTIVE) or not self.contents.is_finished
+        self.is_active = path.name in {names.active for names in layout.ALL_NAMES} or not self.contents.is_finished
         torn = _torn(self.contents)
         self.torn = torn if torn is None or number == 0 else f"{path.name}: {torn}"
 
@@ -74,7 +75,7 @@ class Part:
     ) -> Iterator[Message]:
         """Iterate over the messages of some topics (None: all), joined to their exact stamps where those are wanted.
 
-        Raw pictures are the typed messages around them, as they stand in the file.
+        Raw pictures and clouds are the typed messages around them, as they stand in the file.
         """
         if not stamps:
             return self._messages(topics, raw=raw)
@@ -132,7 +133,7 @@ class Part:
                     if channel is None:
                         continue
                     is_opened = channel.is_typed and not raw and (pictures_of is None or channel.topic in pictures_of)
-                    value = self._picture(data, channel, videos) if is_opened else data
+                    value = self._value(data, channel, videos) if is_opened else data
                     found.append(Message(channel.topic, value, log_ns, publish_ns, sequence, channel))
                 yield place, found
 
@@ -145,17 +146,18 @@ class Part:
     def _channel(self, record: mcap.records.Channel) -> Channel:
         return channel_of(record, file=self._name, first_id=self._first_id)
 
-    def _picture(self, data: bytes, channel: Channel, videos: dict[int, VideoDecoder]) -> bytes:
+    def _value(self, data: bytes, channel: Channel, videos: dict[int, VideoDecoder]) -> bytes:
         try:
             if not channel.video:
-                return picture_in(data)
+                return value_in(data, self._name)
             if channel.video != VIDEO_FORMAT:
                 raise ValueError(f"video of format {channel.video!r}, this station reads {VIDEO_FORMAT}; upgrade it")
             if channel.id not in videos:
                 videos[channel.id] = VideoDecoder()
             return videos[channel.id].jpeg(*video_in(data))
         except ValueError as error:
-            raise EpisodeError(f"{self.path}: a message of {channel.topic!r} holds no picture: {error}") from error
+            what = "cloud" if self._name == layout.CLOUDS else "picture"
+            raise EpisodeError(f"{self.path}: a message of {channel.topic!r} holds no {what}: {error}") from error
 
     def _read(self, file: BinaryIO, place: ChunkPlace) -> bytes:
         try:

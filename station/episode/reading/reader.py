@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Iterable, Iterator
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Literal
 
@@ -34,7 +34,7 @@ class EpisodeReader:
     Attributes:
         folder: Folder of the episode.
         path: The MCAP file: ``signals.mcap``, or ``signals.mcap.active`` when it was never finished.
-        parts: That file, and the one of pictures beside it where there is one.
+        parts: That file, and those of pictures and clouds beside it where there are any.
         manifest: From ``manifest.yaml``, else from the attachment in the MCAP file.
         anchor: Clock of the log times, or None when the file does not say.
         is_active: Whether a file was never finished.
@@ -51,14 +51,14 @@ class EpisodeReader:
         self.path = path
         self.folder = path.parent
         signals = Part(path)
-        cameras, trouble = _cameras_beside(signals)
-        self.parts = [signals] if cameras is None else [signals, cameras]
+        beside, trouble = _beside(signals)
+        self.parts = [signals, *beside]
         self._contents = signals.contents
         self.is_active = any(part.is_active for part in self.parts)
         self.anchor = signals.anchor
         self.manifest = self._read_manifest()
         told = [part.torn for part in self.parts if part.torn is not None]
-        self.torn = "; ".join([*told, *(trouble or self._missing())]) or None
+        self.torn = "; ".join([*told, *trouble.values(), *self._missing(trouble)]) or None
         self.skipped: dict[str, int] = {}
         self._streams: list[StreamInfo] | None = None
 
@@ -144,7 +144,7 @@ class EpisodeReader:
             found = [part.in_log_order(wanted, stamps=stamps, raw=raw) for part in parts]
         else:
             found = [part.in_file_order(wanted, stamps=stamps, raw=raw) for part in parts]
-        return _merged(*found) if len(found) > 1 else iter(found[0] if found else ())
+        return reduce(_merged, found) if found else iter(())
 
     def collect(self, topics: Collection[str]) -> dict[str, list[Message]]:
         """Return the messages of some topics in file order, in one pass; a topic without messages has an empty list."""
@@ -196,13 +196,18 @@ class EpisodeReader:
         """The files that hold its messages."""
         return [part.path for part in self.parts]
 
-    def _missing(self) -> list[str]:
-        """Return in a line which file is not there though the manifest lists streams in it."""
-        has_it = len(self.parts) > 1 or self.path.name not in (layout.SIGNALS, layout.ACTIVE)
-        count = sum(stream.count for stream in self.manifest.streams if stream.file == layout.CAMERAS)
-        if has_it or not count:
+    def _missing(self, trouble: Collection[layout.Names]) -> list[str]:
+        """Return in a line each file that is not there though the manifest lists streams in it."""
+        if self.path.name not in (layout.SIGNALS, layout.ACTIVE):
             return []
-        return [f"{layout.CAMERAS} is not there, with {count} pictures that the manifest lists; bring it back"]
+        found = []
+        for names in layout.BULK_NAMES:
+            is_there = names in trouble or any(part.path.name in names for part in self.parts)
+            count = sum(stream.count for stream in self.manifest.streams if stream.file == names.final)
+            if count and not is_there:
+                what = "clouds" if names is layout.CLOUDS_NAMES else "pictures"
+                found.append(f"{names.final} is not there, with {count} {what} that the manifest lists; bring it back")
+        return found
 
     def _read_manifest(self) -> Manifest:
         manifest, problem = choose_manifest(self.folder, self.path, self._contents.attachments)
@@ -224,29 +229,35 @@ def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader
     return EpisodeReader(signals_file(resolve(episode, data)))
 
 
-def _cameras_beside(signals: Part) -> tuple[Part | None, list[str]]:
-    """Return the file of pictures of the episode whose signals these are, and what is wrong with it, in a line."""
-    names = (layout.CAMERAS, layout.CAMERAS_ACTIVE) if signals.path.name in (layout.SIGNALS, layout.ACTIVE) else ()
-    found = next((path for name in names if (path := signals.path.with_name(name)).is_file()), None)
-    if found is None:
-        return None, []
-    try:
-        cameras = Part(found, number=1)
-    except EpisodeError as error:  # the signals can be read all the same
-        return None, [str(error)]
-    if cameras.anchor is not None and signals.anchor is not None and cameras.anchor != signals.anchor:
-        return None, [f"{found.name} is of another recording; put its own in its place, or take it away"]
-    return cameras, []
+def _beside(signals: Part) -> tuple[list[Part], dict[layout.Names, str]]:
+    """Return the files of pictures and clouds of the episode whose signals these are; and what is wrong, in a line."""
+    found: list[Part] = []
+    trouble: dict[layout.Names, str] = {}
+    has_any = signals.path.name in (layout.SIGNALS, layout.ACTIVE)
+    for number, names in enumerate(layout.BULK_NAMES if has_any else (), 1):
+        paths = (signals.path.with_name(name) for name in (names.final, names.active))
+        if (path := next((path for path in paths if path.is_file()), None)) is None:
+            continue
+        try:
+            part = Part(path, number)
+        except EpisodeError as error:  # the signals can be read all the same
+            trouble[names] = str(error)
+            continue
+        if part.anchor is not None and signals.anchor is not None and part.anchor != signals.anchor:
+            trouble[names] = f"{path.name} is of another recording; put its own in its place, or take it away"
+        else:
+            found.append(part)
+    return found, trouble
 
 
-def _merged(signals: Iterable[Message], cameras: Iterator[Message]) -> Iterator[Message]:
-    """Merge the messages of both files by log time, signals first: see `station.episode.writing.files`."""
-    picture = next(cameras, None)
+def _merged(signals: Iterable[Message], others: Iterator[Message]) -> Iterator[Message]:
+    """Merge the messages of two files by log time, signals first: see `station.episode.writing.files`."""
+    other = next(others, None)
     for message in signals:
-        while picture is not None and picture.log_ns < message.log_ns:
-            yield picture
-            picture = next(cameras, None)
+        while other is not None and other.log_ns < message.log_ns:
+            yield other
+            other = next(others, None)
         yield message
-    if picture is not None:
-        yield picture
-        yield from cameras
+    if other is not None:
+        yield other
+        yield from others

@@ -101,7 +101,7 @@ def reopen(
     """
     folder, point, manifest = found
     remove_temporary(folder)
-    paths = [folder / name for name in (layout.ACTIVE, layout.CAMERAS_ACTIVE)]
+    paths = [folder / names.active for names in layout.ALL_NAMES]
     size = sum(path.stat().st_size for path in paths if path.exists())
     files = None
     if point.size:

@@ -20,10 +20,7 @@ from station.errors import EpisodeError, did_you_mean
 from station.lock_file import is_locked
 
 _DELETING = ".deleting"
-_FILES = (
-    layout.SIGNALS, layout.ACTIVE, layout.REPAIRING, layout.CAMERAS, layout.CAMERAS_ACTIVE,
-    layout.CAMERAS_NAMES.repairing,
-)  # fmt: skip
+_FILES = tuple(name for names in layout.ALL_NAMES for name in (names.final, names.active, names.repairing))
 
 
 def bin_folder(data: Path) -> Path:

@@ -10,9 +10,9 @@ import msgspec
 from station.bus.contracts import contract
 from station.contract import Contract
 from station.episode.storage import layout
+from station.episode.storage.bulk import names_of
 from station.episode.storage.channels import Channel, source_of, topic_of
 from station.episode.storage.manifest import Stream
-from station.episode.storage.pictures import FORMATS, is_picture
 from station.life.events import Severity
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def is_bulky(key: str, size: int) -> bool:
     if size > _LARGEST_SIGNAL:
         return True
     known = contract(key)
-    return size > _BULKY_BYTES if known is None else known.codec in FORMATS
+    return size > _BULKY_BYTES if known is None else names_of(key) is not layout.SIGNALS_NAMES
 
 
 def larger(one: Drops, other: Drops) -> Drops:
@@ -130,7 +130,7 @@ def streams_of(
         name = (channel.topic, channel.source) if channel.encoding != layout.DELETED else None
         found.append(channel.stream(start_ns, owed.pop(name, (0, 0)) if name else (0, 0)))
     for (key, source), dropped in owed.items():
-        file = layout.CAMERAS if is_picture(key) else layout.SIGNALS
+        file = names_of(key).final
         found.append(Channel(0, key, source, "", file, contract_of(key)).stream(start_ns, dropped))
     return found
 

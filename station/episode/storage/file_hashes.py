@@ -1,8 +1,8 @@
 """What tells the files of a closed recording from all others: their sizes, their indexes' checksums, their hashes.
 
 Two depths. `glance` reads the last bytes of a file: its size, and the checksum of its summary, which names the time and
-the place of each chunk. `measure` reads the signals whole, for a hash that ``sha256sum`` gives too. Pictures are
-gigabytes, and whoever stops a recording waits: of those it takes the checksums of the chunks, which every reader
+the place of each chunk. `measure` reads the signals whole, for a hash that ``sha256sum`` gives too. Pictures and clouds
+are gigabytes, and whoever stops a recording waits: of those it takes the checksums of the chunks, which every reader
 compares with the contents.
 """
 
@@ -22,7 +22,6 @@ from station.episode.storage.manifest_parts import RecordedFile
 from station.episode.storage.tail import read_footer
 
 NOT_THERE = "not there"
-_FILES = (layout.SIGNALS, layout.CAMERAS)
 _HEAD = struct.Struct("<BQ")
 _PLACE = struct.Struct("<QQQ")  # of a chunk's index: first and last time, and where the chunk begins
 _CHECKSUM = struct.Struct("<L")
@@ -91,7 +90,7 @@ def _change(name: str, expected: RecordedFile | None, found: RecordedFile | None
 
 
 def _closed(folder: Path) -> Iterator[Path]:
-    return (path for name in _FILES if (path := folder / name).is_file())
+    return (path for names in layout.ALL_NAMES if (path := folder / names.final).is_file())
 
 
 def _read(path: Path, *, is_whole: bool) -> RecordedFile:
@@ -103,7 +102,7 @@ def _read(path: Path, *, is_whole: bool) -> RecordedFile:
             found.summary_crc = f"{footer.summary_crc:08x}"
         if not is_whole:
             return found
-        if path.name == layout.CAMERAS:
+        if path.name != layout.SIGNALS:
             found.chunks_sha256 = "" if footer is None else _chunks_sha256(file, footer.summary_start, size)
         else:
             file.seek(0)

@@ -1,9 +1,10 @@
 """What an episode looks like on disk: names of files, topics, encodings and records, spelled once.
 
-``DATA/<task>/<episode_id>/{manifest.yaml, signals.mcap, cameras.mcap}``; pictures are in ``cameras.mcap``, which is
-there when there was one, everything else in ``signals.mcap``. An MCAP file is called ``….active`` until it is finished,
-and ``resume.json`` beside it says how far a killed recorder had got, ``checkpoint.json`` what it knew of the files some
-seconds before. A repaired episode keeps what was torn beside it, as ``….torn``.
+``DATA/<task>/<episode_id>/{manifest.yaml, signals.mcap, cameras.mcap, clouds.mcap}``; pictures are in ``cameras.mcap``
+and point clouds in ``clouds.mcap``, which are there when there was one, everything else in ``signals.mcap``. An MCAP
+file is called ``….active`` until it is finished, and ``resume.json`` beside it says how far a killed recorder had got,
+``checkpoint.json`` what it knew of the files some seconds before. A repaired episode keeps what was torn beside it, as
+``….torn``.
 """
 
 from __future__ import annotations
@@ -31,8 +32,13 @@ the one at their end."""
 
 SIGNALS_NAMES = _names("signals.mcap")
 CAMERAS_NAMES = _names("cameras.mcap")
+CLOUDS_NAMES = _names("clouds.mcap")
+BULK_NAMES = (CAMERAS_NAMES, CLOUDS_NAMES)
+"""Of the files that an episode may do without, in the order in which they are read at equal times, behind signals."""
+ALL_NAMES = (SIGNALS_NAMES, *BULK_NAMES)
 SIGNALS, ACTIVE, TORN, REPAIRING = SIGNALS_NAMES
 CAMERAS, CAMERAS_ACTIVE, *_ = CAMERAS_NAMES
+CLOUDS = CLOUDS_NAMES.final
 RESUME = "resume.json"
 CHECKPOINT = "checkpoint.json"
 
@@ -49,7 +55,8 @@ DELETED = "application/x-deleted"
 TEXT = "text"
 PROTOBUF = "protobuf"
 """Of a picture: the exact bytes of the key are the field ``data`` of a ``foxglove.CompressedImage``; of a channel whose
-metadata say `VIDEO`, a picture of H.264 is that of a ``foxglove.CompressedVideo``."""
+metadata say `VIDEO`, a picture of H.264 is that of a ``foxglove.CompressedVideo``. Of a cloud: they are the
+``foxglove.PointCloud`` but for its time."""
 VIDEO = "video"
 """In the metadata of a channel of pictures that were compacted: of what format they are since."""
 

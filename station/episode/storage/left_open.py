@@ -50,7 +50,7 @@ def _is_cut_off(folder: Path) -> bool:
 
 
 def _finished(folder: Path) -> list[Path]:
-    return [file for name in (layout.SIGNALS, layout.CAMERAS) if (file := folder / name).is_file()]
+    return [file for names in layout.ALL_NAMES if (file := folder / names.final).is_file()]
 
 
 def _changed_just_now(file: Path) -> bool:

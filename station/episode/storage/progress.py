@@ -69,8 +69,8 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
         episode_id: The episode.
         position: The tap's place after the last write that is in the file; None where the tap has none.
         size: Length of the file of signals at that moment; bytes behind it belong to no flush. 0 before it was made.
-        cameras_size: The same of the file of pictures.
-        messages: Messages in both at that moment.
+        cameras_size, clouds_size: The same of the files of pictures and of clouds.
+        messages: Messages in all at that moment.
         anchor: Clock of the file's log times.
         wall_ns, mono_ns: When it was written, on both clocks [ns].
         dropped: Writes before that position that arrived and could not be kept.
@@ -86,9 +86,15 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
     wall_ns: int
     mono_ns: int = 0
     cameras_size: int = 0
+    clouds_size: int = 0
     dropped: int = 0
     drops: list[Dropped] = []
     start_id: str = ""
+
+    def sizes(self) -> dict[layout.Names, int]:
+        """Return the length of each file at that moment."""
+        lengths = (self.size, self.cameras_size, self.clouds_size)
+        return dict(zip(layout.ALL_NAMES, lengths, strict=True))
 
 
 def save_resume_point(point: ResumePoint, folder: Path) -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import asdict
 from station.bus import stamp as stamps
 from station.bus.contracts import Contracts
 from station.bus.tap.base import Write
-from station.episode.storage import layout, pictures
+from station.episode.storage import bulk, layout
 from station.episode.storage.anchor import Anchor, is_storable
 from station.episode.storage.channels import MAX_CHANNELS, Channel, channel_from, encoding_of, source_of
 from station.episode.storage.disk import Disk
@@ -35,10 +35,10 @@ MOST_GAPS = 10_000  # beyond that only the counters go on
 
 
 class EpisodeFile:
-    """``signals.mcap.active`` or ``cameras.mcap.active``: turns writes into messages, and counts them per channel.
+    """``signals.mcap.active``, or that of pictures or clouds: turns writes into messages, and counts them per channel.
 
     Attributes:
-        names: What it is called; in that of the cameras, chunks are not compressed, and pictures have a type.
+        names: What it is called; in those of pictures and clouds chunks are not compressed, and values have a type.
         channels: Every channel so far, in order of appearance.
         messages: Messages in the file, flushed or not; the recorder's own bookkeeping is not counted.
         refused, drops: Writes that could not be kept, because there were too many channels; where they are counted.
@@ -67,7 +67,7 @@ class EpisodeFile:
         self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
         self.last_log_ns = anchor.wall_ns
         self.drops = Drops() if drops is None else drops
-        self._writer = ChunkWriter(disk, is_new=is_new, compression="" if names is layout.CAMERAS_NAMES else "zstd")
+        self._writer = ChunkWriter(disk, is_new=is_new, compression="zstd" if names is layout.SIGNALS_NAMES else "")
 
     @classmethod
     def create(
@@ -242,7 +242,7 @@ class EpisodeFile:
             self.gaps.append(Gap(before_ns, log_ns, lost))
         number = sequence & _SEQUENCE_MASK
         if channel.encoding == layout.PROTOBUF:
-            around = pictures.around(channel.key, len(value), publish_ns, stamp)
+            around = bulk.around(channel.key, len(value), publish_ns, stamp)
             self._writer.add(channel.id, number, log_ns, publish_ns, value, *around)
         else:
             self._writer.add(channel.id, number, log_ns, publish_ns, value)
@@ -260,7 +260,7 @@ class EpisodeFile:
         return channel
 
     def _encoding(self, key: str, value: bytes) -> str:
-        is_typed = self.names is layout.CAMERAS_NAMES and pictures.is_picture(key)
+        is_typed = self.names is bulk.names_of(key) and self.names is not layout.SIGNALS_NAMES
         return layout.PROTOBUF if is_typed else encoding_of(value)
 
     def _new_channel(self, key: str, source: str, encoding: str) -> Channel | None:
@@ -277,7 +277,7 @@ class EpisodeFile:
         if is_told(topic, encoding):
             self._told.add(number)
         if encoding == layout.PROTOBUF and not self._schemas:
-            self._describe(picture_type())
+            self._describe(type_in(self.names))
         schema = self._schemas[0].id if encoding == layout.PROTOBUF else 0
         self._records.append(mcap.records.Channel(number, topic, encoding, metadata, schema))
         self._writer.define(self._records[-1])
@@ -319,11 +319,11 @@ def _head_facts(anchor: Anchor, facts: Mapping[str, str]) -> dict[str, dict[str,
     return {layout.ANCHOR_RECORD: clock, layout.EPISODE_RECORD: dict(facts)}
 
 
-def picture_type() -> Schema:
-    """Return the description of ``foxglove.CompressedImage``."""
+def type_in(names: layout.Names) -> Schema:
+    """Return the description of what is in a file of pictures or clouds."""
     from station.protobuf import foxglove, schema  # 30 ms and 7 MB, of which a station without cameras needs nothing
 
-    made = foxglove.schema(foxglove.COMPRESSED_IMAGE)
+    made = foxglove.schema(foxglove.POINT_CLOUD if names is layout.CLOUDS_NAMES else foxglove.COMPRESSED_IMAGE)
     return Schema(id=1, name=made.name, encoding=schema.ENCODING, data=made.data)
 
 

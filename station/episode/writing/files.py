@@ -1,4 +1,4 @@
-"""The MCAP files of an episode while they are written: signals, and pictures from the first one on. One thread."""
+"""The MCAP files of an episode while they are written: signals, and pictures and clouds from the first one on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from station.atomic_file import sync_folder
 from station.bus.contracts import Contracts
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, is_storable
+from station.episode.storage.bulk import names_of
 from station.episode.storage.drops import Drops, drops_record, streams_of
-from station.episode.storage.pictures import is_picture
 from station.episode.storage.progress import ResumePoint, Totals
 from station.episode.storage.records import metadata_at_head
 from station.episode.writing.checkpoint import Checkpoint, load_checkpoint
@@ -27,39 +27,39 @@ _DROPS_EVERY_S = 5.0  # a power cut may take so much of the counts of dropped wr
 _TIE_NS = 1000  # a step back of the log time by no more than this came of keeping the order
 
 _WINDOW = 1024
+_PLACES = {names: place for place, names in enumerate(layout.ALL_NAMES)}
 
 
 class EpisodeFiles:
     """Takes the writes of an episode and puts each into its file.
 
-    Who reads them merges the files by log time, at equal times the signals first. That is the order of arrival, because
-    a signal behind a picture that arrived in the same instant is logged a nanosecond later.
+    Who reads them merges the files by log time, at equal times in the order of `layout.ALL_NAMES`. That is the order of
+    arrival, because a signal behind a picture that arrived in the same instant is logged a nanosecond later.
 
     Args:
-        folder: Where the file of pictures is made.
+        folder: Where the files of pictures and clouds are made.
         anchor: Clock of the files.
         facts: What stands at the head of each: episode_id, task, started.
         signals: The file of signals.
-        cameras: The file of pictures, where there is one.
+        bulk: The files of pictures and clouds, where there are any.
 
     Attributes:
-        signals, cameras: As above.
+        signals: As above.
         drops: Writes that belong before the end of the files and are not in them, refused ones included; the file of
             signals tells of all of them.
     """
 
     def __init__(
-        self, folder: Path, anchor: Anchor, facts: Mapping[str, str], signals: EpisodeFile,
-        cameras: EpisodeFile | None = None,
-    ) -> None:  # fmt: skip
+        self, folder: Path, anchor: Anchor, facts: Mapping[str, str], signals: EpisodeFile, *bulk: EpisodeFile
+    ) -> None:
         self.signals = signals
-        self.cameras = cameras
+        self._bulk = {file.names: file for file in bulk}
         self.drops = signals.drops
         self._folder = folder
         self._anchor = anchor
         self._facts = facts
         self._last_ns = max(file.last_log_ns for file in self)
-        self._was_picture = False
+        self._last_place = 0  # of the file of the last write, in the order in which they are read
         self._noted_drops, self._drops_due = 0, 0.0
 
     @property
@@ -100,7 +100,7 @@ class EpisodeFiles:
         drops = Drops(point.drops)
         opened: list[EpisodeFile] = []
         try:
-            for names, size in ((layout.SIGNALS_NAMES, point.size), (layout.CAMERAS_NAMES, point.cameras_size)):
+            for names, size in point.sizes().items():
                 path = folder / names.active
                 if not (size or (path.exists() and not is_exact and metadata_at_head(path, layout.ANCHOR_RECORD))):
                     path.unlink(missing_ok=True)  # it was not safe yet, not even its head; what was in it comes again
@@ -119,8 +119,7 @@ class EpisodeFiles:
 
     def __iter__(self) -> Iterator[EpisodeFile]:
         """Iterate over the files that there are; signals last, so that what is said of them holds for all."""
-        if self.cameras is not None:
-            yield self.cameras
+        yield from (self._bulk[names] for names in reversed(layout.BULK_NAMES) if names in self._bulk)
         yield self.signals
 
     @property
@@ -132,6 +131,10 @@ class EpisodeFiles:
     def size(self) -> int:
         """Bytes that the system has."""
         return sum(file.size for file in self)
+
+    def size_of(self, names: layout.Names) -> int:
+        """Return the bytes of one file that the system has; 0 where it was not made."""
+        return sum(file.size for file in self if file.names is names)
 
     @property
     def refused(self) -> int:
@@ -173,24 +176,19 @@ class EpisodeFiles:
         """Put writes into the open chunks of their files.
 
         Raises:
-            OSError: the disk refused the file of pictures, which is made for the first one.
+            OSError: the disk refused a file of pictures or clouds, which is made for the first one.
         """
         at = self._anchor.at
         for write in writes:
             log_ns, last_ns = at(write[3]), self._last_ns
             if not is_storable(log_ns):
                 log_ns = last_ns
-            if write[1] is not None and is_picture(write[0]):
-                file = self.cameras or self._make_cameras()
-                if 0 < last_ns - log_ns < _TIE_NS:
-                    log_ns = last_ns
-                self._was_picture = True
-            else:
-                file = self.signals
-                if self.cameras is not None and 0 <= last_ns - log_ns < _TIE_NS:
-                    log_ns = last_ns + self._was_picture
-                self._was_picture = False
-            self._last_ns = log_ns
+            names = layout.SIGNALS_NAMES if write[1] is None else names_of(write[0])
+            file = self.signals if names is layout.SIGNALS_NAMES else self._bulk.get(names) or self._make(names)
+            place = _PLACES[names]
+            if self._bulk and 0 <= last_ns - log_ns < _TIE_NS:
+                log_ns = last_ns + (place < self._last_place)
+            self._last_ns, self._last_place = log_ns, place
             file.add(write, log_ns)
 
     def sync(self) -> None:
@@ -200,8 +198,9 @@ class EpisodeFiles:
             OSError: the disk is full or gone.
         """
         try:
-            if self.cameras is not None and self.cameras.pending_bytes:
-                self.cameras.sync()
+            for file in self._bulk.values():
+                if file.pending_bytes:
+                    file.sync()
         finally:
             if self.drops.total > self._noted_drops and time.monotonic() >= self._drops_due:
                 self._write_drops()
@@ -210,7 +209,7 @@ class EpisodeFiles:
     def finish(self, manifest: bytes, summary: Mapping[str, str]) -> None:
         """Close the last chunks, add summary and closed manifest, write the indexes, and give the files their names.
 
-        Whoever finds the file of signals finished finds that of the pictures finished too; and whoever finds it by its
+        Whoever finds the file of signals finished finds all others finished too; and whoever finds it by its
         final name, likewise.
 
         Raises:
@@ -221,8 +220,8 @@ class EpisodeFiles:
         if self.drops.total > self._noted_drops:
             self._write_drops()
         self.sync()
-        if self.cameras is not None:
-            self.cameras.finish({"messages": str(self.cameras.messages)})
+        for file in self._bulk.values():
+            file.finish({"messages": str(file.messages)})
         self.signals.finish(summary, manifest)
 
     def name(self) -> None:
@@ -236,12 +235,13 @@ class EpisodeFiles:
         for file in self:
             file.close()
 
-    def _make_cameras(self) -> EpisodeFile:
-        path = self._folder / layout.CAMERAS_ACTIVE
-        self.cameras = EpisodeFile.create(path, self._anchor, self._facts, names=layout.CAMERAS_NAMES, drops=self.drops)
-        self.cameras.contracts = self.contracts
+    def _make(self, names: layout.Names) -> EpisodeFile:
+        path = self._folder / names.active
+        made = EpisodeFile.create(path, self._anchor, self._facts, names=names, drops=self.drops)
+        made.contracts = self.contracts
+        self._bulk[names] = made
         sync_folder(self._folder)
-        return self.cameras
+        return made
 
     def _write_drops(self) -> None:
         self.signals.write_metadata(layout.DROPPED_RECORD, drops_record(self.drops))

@@ -47,8 +47,6 @@ from station.lock_file import is_locked
 
 State = Literal["whole", "closed", "repaired"]
 
-_FILES = (layout.SIGNALS_NAMES, layout.CAMERAS_NAMES)
-
 
 class Repaired(msgspec.Struct, frozen=True, kw_only=True):
     """What became of one episode.
@@ -115,7 +113,7 @@ def close_whole(folder: Path) -> Repaired | None:
         EpisodeError: it is no episode of ours.
         OSError: the disk refused it.
     """
-    file, cameras = signals_file(folder), _present(folder, layout.CAMERAS, layout.CAMERAS_ACTIVE)
+    file = signals_file(folder)
     if file.stat().st_size < len(MAGIC):
         return None
     contents = walk(file)
@@ -129,7 +127,9 @@ def close_whole(folder: Path) -> Repaired | None:
     if anchor is None:
         return None
     requests = EpisodeSummary(anchor)
-    if not salvage(file, requests.on_message).is_finished or not _are_cameras_whole(cameras, manifest):
+    if not salvage(file, requests.on_message).is_finished or not all(
+        _is_whole(folder, names, manifest) for names in layout.BULK_NAMES
+    ):
         return None
     is_open = is_left_open(folder) or not _is_closed(folder, manifest)
     if is_open:
@@ -140,11 +140,11 @@ def close_whole(folder: Path) -> Repaired | None:
     )  # fmt: skip
 
 
-def _are_cameras_whole(cameras: Path | None, manifest: Manifest) -> bool:
-    """Whether the file of pictures lacks nothing, or is not there because there were none."""
-    if cameras is None:
-        return not any(stream.count for stream in manifest.streams if stream.file == layout.CAMERAS)
-    return scan(cameras, layout.CAMERAS_NAMES).is_finished
+def _is_whole(folder: Path, names: layout.Names, manifest: Manifest) -> bool:
+    """Whether the file of pictures or clouds lacks nothing, or is not there because there were none."""
+    if (file := _present(folder, names.final, names.active)) is None:
+        return not any(stream.count for stream in manifest.streams if stream.file == names.final)
+    return scan(file, names).is_finished
 
 
 def _is_closed(folder: Path, inside: Manifest) -> bool:
@@ -158,7 +158,7 @@ def _is_closed(folder: Path, inside: Manifest) -> bool:
 
 
 def _finish_repair(folder: Path, manifest: Manifest) -> None:
-    for names in reversed(_FILES):
+    for names in reversed(layout.ALL_NAMES):
         if (folder / names.active).exists() and not (folder / names.final).exists():
             (folder / names.active).rename(folder / names.final)
     sync_folder(folder)
@@ -182,7 +182,7 @@ def _save_final(folder: Path, manifest: Manifest) -> None:
 def _put_aside(folder: Path) -> dict[str, Path]:
     """Put aside what is torn, the signals last, by which all see that an episode is not closed; return where to."""
     aside = {}
-    for names in reversed(_FILES):
+    for names in reversed(layout.ALL_NAMES):
         if (folder / names.active).exists():
             aside[names.final] = (folder / names.active).rename(free_path(folder / names.torn))
     return aside
@@ -198,7 +198,7 @@ def _tidy(folder: Path) -> None:
 def _repair(folder: Path, target: Path) -> Repaired:
     manifest, point = find_manifest(folder).manifest, load_resume_point(folder)
     # The unfinished file comes first: where both are there, a repair that was killed has made the other one of it.
-    found = [(names, _present(folder, names.active, names.final)) for names in _FILES]
+    found = [(names, _present(folder, names.active, names.final)) for names in layout.ALL_NAMES]
     sources = [(names, source) for names, source in found if source is not None]
     anchor, drops = _clock(sources[0][1], manifest, point), Drops(point.drops if point else ())
     target.mkdir(parents=True, exist_ok=True)
@@ -208,7 +208,7 @@ def _repair(folder: Path, target: Path) -> Repaired:
             mended.append(mend(source, target / names.repairing, names, anchor, manifest, drops))
         done = _close(mended, anchor, manifest, point)
     except BaseException:
-        for names in _FILES:
+        for names in layout.ALL_NAMES:
             (target / names.repairing).unlink(missing_ok=True)
         raise
     finally:
@@ -289,7 +289,9 @@ def _swap(mended: Sequence[RepairedFile], folder: Path, manifest: Manifest) -> d
     aside = {}
     for names, source, salvaged, file in mended:
         copy, final = folder / names.repairing, folder / names.final
-        if salvaged.is_finished and names is layout.CAMERAS_NAMES:  # the signals get another manifest, pictures nothing
+        if (
+            salvaged.is_finished and names is not layout.SIGNALS_NAMES
+        ):  # the signals get another manifest, pictures nothing
             copy.unlink(missing_ok=True)
             source.rename(final)
             continue
@@ -405,7 +407,7 @@ def mend(
     with copy.open("xb") as output:
         salvaged = scan(source, names, output, head_of(anchor, facts_of(manifest)))
     opened = _opened(copy, names, anchor, manifest, drops)
-    if names is layout.CAMERAS_NAMES and opened is not None and not opened.messages:
+    if names is not layout.SIGNALS_NAMES and opened is not None and not opened.messages:
         opened.close()
         opened = None
     if opened is None:
@@ -418,7 +420,7 @@ def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest,
     if copy.stat().st_size and layout.EPISODE_RECORD in (found := walk(copy).metadata):
         known = larger(drops, drops_of(found.get(layout.DROPPED_RECORD)))
         return EpisodeFile.reopen(copy, anchor, names=names, drops=known)
-    if names is layout.CAMERAS_NAMES:
+    if names is not layout.SIGNALS_NAMES:
         return None
     copy.unlink(missing_ok=True)
     return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
@@ -429,7 +431,7 @@ def scan(
 ) -> SalvageResult:  # fmt: skip
     """Go through a file for its wholeness, or have what is whole copied behind a head.
 
-    Nothing is whole of pictures that are no MCAP file at all.
+    Nothing is whole of pictures or clouds that are no MCAP file at all.
 
     Raises:
         OSError: it cannot be read, or its copy not written.
@@ -438,7 +440,7 @@ def scan(
     try:
         return salvage(source, _ignore, output=output, head=head)
     except EpisodeError:
-        if names is not layout.CAMERAS_NAMES:
+        if names is layout.SIGNALS_NAMES:
             raise
         return SalvageResult({}, {}, 0, b"", is_finished=False)  # the signals are worth saving all the same
 
