@@ -23,8 +23,6 @@ from station.protobuf import wire
 from station.protobuf.wire import BYTES, FIXED32, FIXED64, VARINT, varint
 from station.protocols import Floats32
 
-FORMAT = "point-cloud"
-"""As a contract's codec has it."""
 MOST_POINTS = 50_000
 """Points that a reader gets unless it asks for another number."""
 VOXEL_M = 0.05
@@ -100,8 +98,8 @@ def encoded(cloud: PointCloud) -> bytes:
     Raises:
         BadCloud: its fields and its points do not fit each other.
     """
+    expect_sound(cloud)
     head = _head(cloud.frame, cloud.pose, cloud.stride, cloud.fields)
-    _expect_whole(cloud)
     time = b"" if cloud.sensor_ns is None else _member(_SENSOR_TIME, _time(cloud.sensor_ns))
     return b"".join((head, time, _tag(_DATA, BYTES), varint(len(cloud.data)), cloud.data))
 
@@ -131,13 +129,12 @@ def decoded(value: bytes) -> PointCloud:
                     data = part
                 case 100, wire.BYTES:
                     sensor_ns = _time_in(part)
-        found = PointCloud(frame, pose, stride, tuple(fields), data, sensor_ns)
-        _expect_layout(found.stride, found.fields)
     except BadCloud:
         raise
     except ValueError as error:  # UnicodeDecodeError is one
         raise BadCloud(f"no point cloud: {error}") from None
-    _expect_whole(found)
+    found = PointCloud(frame, pose, stride, tuple(fields), data, sensor_ns)
+    expect_sound(found)
     return found
 
 
@@ -149,11 +146,11 @@ def xyz(cloud: PointCloud, *, most: int = MOST_POINTS, seed: int = 0) -> Floats3
     """
     table = np.frombuffer(cloud.data, dtype=_dtype(cloud.stride, cloud.fields))
     points = np.empty((len(table), 3), np.float32)
-    with np.errstate(over="ignore"):  # of doubles that no float32 holds
+    with np.errstate(over="ignore", invalid="ignore"):  # of doubles that no float32 holds, and of NaN that signals
         for column, axis in enumerate(_AXES):
             points[:, column] = table[axis]
-    is_return = (np.abs(points) < FARTHEST_M).all(axis=1) & points.any(axis=1)
-    points = points[is_return]
+        is_return = (np.abs(points) < FARTHEST_M).all(axis=1) & (points != 0.0).any(axis=1)
+    points = np.asarray(points[is_return])
     if len(points) > most:
         points = points[np.sort(np.random.default_rng(seed).choice(len(points), most, replace=False))]
     if cloud.pose == SensorPose():
@@ -187,21 +184,15 @@ def records(cloud: PointCloud) -> NDArray[np.void]:
     return np.frombuffer(cloud.data, dtype=layout)
 
 
-def time_before(value_ns: int) -> bytes:
-    """Return what stands before a cloud in a file: its time, as field 1 of the message [ns since the epoch]."""
-    return _member(1, _time(max(0, value_ns)))
-
-
-def without_time(message: bytes) -> bytes:
-    """Return the bytes of a cloud of which a message of a file was made by `time_before`.
+def expect_sound(cloud: PointCloud) -> None:
+    """Refuse a cloud whose fields and points do not fit each other.
 
     Raises:
-        ValueError: it is none.
+        BadCloud: they do not; one line.
     """
-    if not message or message[0] != 1 << 3 | BYTES:
-        raise ValueError("no time stands before the cloud")
-    _, _, _, end = next(wire.fields(message))
-    return message[end:]
+    _expect_layout(cloud.stride, cloud.fields)
+    if len(cloud.data) % cloud.stride:
+        raise BadCloud(f"{len(cloud.data)} bytes are no whole number of points of {cloud.stride} bytes")
 
 
 def _expect_layout(stride: int, fields: Sequence[PointField]) -> None:
@@ -217,14 +208,8 @@ def _expect_layout(stride: int, fields: Sequence[PointField]) -> None:
             raise BadCloud(f"field {field.name} ends at byte {field.offset + size} of points of {stride} bytes")
 
 
-def _expect_whole(cloud: PointCloud) -> None:
-    if len(cloud.data) % cloud.stride:
-        raise BadCloud(f"{len(cloud.data)} bytes are no whole number of points of {cloud.stride} bytes")
-
-
 @lru_cache(maxsize=64)
 def _head(frame: str, pose: SensorPose, stride: int, fields: tuple[PointField, ...]) -> bytes:
-    _expect_layout(stride, fields)
     parts = [_member(_FRAME, frame.encode())]
     if pose != SensorPose():
         parts.append(_member(_POSE, _pose_bytes(pose)))

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from station import rotations
+from station.episode.storage import layout
+from station.episode.storage.bulk import value_in
+from station.episode.storage.pictures import time_before
 from station.point_cloud import (
     FARTHEST_M,
     BadCloud,
@@ -13,9 +16,7 @@ from station.point_cloud import (
     decoded,
     encoded,
     records,
-    time_before,
     voxels,
-    without_time,
     xyz,
 )
 from station.protobuf import foxglove, schema
@@ -58,10 +59,10 @@ def test_foxglove_reads_the_same_from_it() -> None:
 
 def test_the_time_of_a_file_is_taken_off_again() -> None:
     value = encoded(made([[1, 2, 3]]))
-    assert without_time(time_before(5) + value) == value
-    for bad in (b"", value, b"\x0a"):
-        with pytest.raises(ValueError, match=r"time|number"):
-            without_time(bad)
+    assert value_in(time_before(5) + value, layout.CLOUDS) == value
+    for bad in (b"", value, b"\x0a\x09"):
+        with pytest.raises(ValueError, match=r"time|beyond"):
+            value_in(bad, layout.CLOUDS)
 
 
 def test_points_without_a_return_and_numbers_that_are_none_are_left_out() -> None:

@@ -105,6 +105,7 @@ class AsyncStation(_Asynchronous[Station]):
     describe = _awaited(Station.describe)
     description = _awaited(Station.description)
     read = _awaited(Station.read)
+    cloud = _awaited(Station.cloud)
     publish = _awaited(Station.publish)
     estop = _awaited(Station.estop)
     release = _awaited(Station.release)

@@ -1,4 +1,4 @@
-"""A recorded episode for notebooks and scripts: its streams as arrays and frames, its policy steps, its pictures."""
+"""A recorded episode for notebooks and scripts: its streams as arrays and frames, steps, pictures, clouds."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from station import depth as depths
+from station import point_cloud
 from station.api import streams as found
 from station.api.steps import Steps, names_and_units, read_steps
 from station.api.streams import Holds, Stream
@@ -133,6 +134,11 @@ class Episode:
     def depth_cameras(self) -> list[str]:
         """Names of its cameras whose depth was recorded."""
         return list(frames.depths(self._reader))
+
+    @cached_property
+    def lidars(self) -> list[str]:
+        """Names of its lidars."""
+        return list(frames.lidars(self._reader))
 
     @cached_property
     def streams(self) -> list[Stream]:
@@ -291,6 +297,32 @@ class Episode:
         _, topic = self._chosen("camera", frames.cameras(self._reader), camera)
         yield from self._files(topic)
 
+    def clouds(
+        self, lidar: str | None = None, *, most: int = point_cloud.MOST_POINTS, seed: int = 0
+    ) -> Iterator[tuple[float, Floats32]]:
+        """Iterate over the clouds of a lidar: time of capture [s], and points [m], shape (n, 3), float32, all finite.
+
+        They are in the frame that the lidar is mounted in, else in its own; points without a return are left out, and
+        so is, with a warning, what is no cloud. `raw` and `station.point_cloud` give every field of every point.
+
+        Args:
+            lidar: One of `lidars`; None for the only one.
+            most: Of more points a random choice stays.
+            seed: Of that choice.
+
+        Raises:
+            UnknownName: there is no such lidar.
+            EpisodeError: none is named, and there is none or there are several; or its file is damaged.
+        """
+        name, topic = self._chosen("lidar", frames.lidars(self._reader), lidar)
+        for time_s, data in self._files(topic):
+            try:
+                cloud = point_cloud.decoded(data)
+            except point_cloud.BadCloud as error:
+                _warn(f"lidar {name}: the cloud of {time_s:.3f} s is none: {error}; left out")
+            else:
+                yield time_s, point_cloud.xyz(cloud, most=most, seed=seed)
+
     def wall_ns(self, time_s: ArrayLike) -> Ints:
         """Return times of the episode on the wall clock [ns since the Unix epoch]; shape as given.
 
@@ -323,12 +355,12 @@ class Episode:
         torn = [] if self.torn is None else [f"  torn: {self.torn}"]
         return "\n".join(printable(line) for line in [head, *torn, *found.lines(self.streams)])
 
-    def _chosen(self, what: str, by_name: Mapping[str, str], camera: str | None) -> tuple[str, str]:
-        """Return name and key of the camera that is meant."""
-        if camera is None and len(by_name) != 1:
-            which = f"cameras {' and '.join(by_name)}; name one" if by_name else f"no {what} in it"
+    def _chosen(self, what: str, by_name: Mapping[str, str], wanted: str | None) -> tuple[str, str]:
+        """Return name and key of the camera or lidar that is meant."""
+        if wanted is None and len(by_name) != 1:
+            which = f"{what.split(maxsplit=1)[0]}s {' and '.join(by_name)}; name one" if by_name else f"no {what} in it"
             raise EpisodeError(f"{self.id}: {which}")
-        name = next(iter(by_name)) if camera is None else camera
+        name = next(iter(by_name)) if wanted is None else wanted
         if name not in by_name:
             raise UnknownName(f"{what} of {self.id}", name, by_name)
         return name, by_name[name]
@@ -364,7 +396,9 @@ class Episode:
         names = {topic: name for name, topic in frames.cameras(self._reader).items()}
         depth_of = {topic: name for name, topic in frames.depths(self._reader).items()}
         pictures = f"depth({depth_of[key]!r})" if key in depth_of else f"pictures({names.get(key)!r})"
-        how = {"pictures": pictures, "json": f"json({key!r})"}.get(held, f"raw({key!r})")
+        lidar_of = {topic: name for name, topic in frames.lidars(self._reader).items()}
+        clouds = f"clouds({lidar_of.get(key)!r})"
+        how = {"pictures": pictures, "clouds": clouds, "json": f"json({key!r})"}.get(held, f"raw({key!r})")
         has_contract = any(channel.contract is not None for channel in self._channels[key])
         why = f"holds {held}, no numbers" if has_contract else "has no contract, so nothing says what its numbers are"
         raise EpisodeError(f"{self.id}: key {key!r} {why}; episode.{how} reads it")

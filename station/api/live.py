@@ -30,6 +30,7 @@ from station.life.stop_button import StopButton, keep_for_the_next_start
 from station.printable import printable
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from station.episode.storage.request import Action, RecordAnswer, RecorderState
@@ -242,6 +243,37 @@ class Station:
         """Return what a key holds; None where it does not exist."""
         sample = self._bus.read([key]).get(key)
         return None if sample is None else Value(sample, self.describe(key))
+
+    def cloud(
+        self, lidar: str, *, max_age_s: float = 1.0, most: int = 50_000, seed: int = 0
+    ) -> NDArray[np.float32] | None:
+        """Return the newest points of a lidar [m], shape (n, 3), all finite, in the frame that it is mounted in.
+
+        None before its first cloud, and where the newest was written longer ago, by its writer's clock.
+
+        Args:
+            lidar: Its name.
+            max_age_s: Of the cloud [s].
+            most: Of more points a random choice stays.
+            seed: Of that choice.
+
+        Raises:
+            UsageError: its key holds no cloud.
+        """
+        from station import point_cloud
+
+        sample = self._bus.read([keys.lidar_cloud(lidar)]).get(keys.lidar_cloud(lidar))
+        mark = None if sample is None else sample.stamp
+        if sample is None or mark is None:
+            return None
+        is_ours = mark.is_from_this_boot
+        age_ns = self._clock.monotonic_ns() - mark.mono_ns if is_ours else self._clock.wall_ns() - mark.wall_ns
+        if age_ns * 1e-9 > max_age_s:
+            return None
+        try:
+            return point_cloud.xyz(point_cloud.decoded(sample.value), most=most, seed=seed)
+        except point_cloud.BadCloud as error:
+            raise UsageError(f"{sample.key}: {error}") from None
 
     def follow(self, key: str, *, silent_s: float | None = None) -> Iterator[Value]:
         """Yield each newest value of a key that is written from now on; one that is overwritten at once may be missed.

@@ -10,9 +10,10 @@ from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.show import count_streams
 from station.episode.storage import layout, pictures
+from station.episode.storage.bulk import CLOUD
 from station.episode.storage.manifest import Stream as ListedStream
 
-Holds = Literal["numbers", "json", "pictures", "text", "bytes"]
+Holds = Literal["numbers", "json", "pictures", "clouds", "text", "bytes"]
 
 _TOLD = ("control", "event")
 
@@ -71,6 +72,8 @@ def holds(channels: Collection[Channel]) -> Holds:
         return "json" if all(channel.encoding == layout.JSON for channel in channels) else "bytes"
     if contract.codec in pictures.FORMATS:
         return "pictures"
+    if contract.codec == CLOUD:
+        return "clouds"
     if contract.vector_codec is not None or contract.codec in ("integer", "f64-rows"):
         return "numbers"
     return "json" if contract.codec == "json" else "text"

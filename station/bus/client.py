@@ -144,19 +144,20 @@ class Bus:
             back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait.
         """
         with self._lock:
-            request = self._writes.encode(values, capture_ns)
-            if self._connection is None:
-                self.lost_writes += len(values)
-                return False
-            self._unanswered.append(len(values))
-            if not self._connection.owed:
-                self._heard_s = self.clock.monotonic_s()  # a long silence of ours is none of the server's
-            try:
-                refused = self._account(self._connection, self._connection.post(request))
-            except ConnectionLost as error:
-                self._lose(error)
-                return False
-        return not refused
+            return self._post(self._writes.encode(values, capture_ns), [len(values)])
+
+    def publish_in_turn(self, writes: Sequence[tuple[Mapping[str, bytes], int | None]]) -> bool:
+        """Write several times in one go, for a device whose samples come in batches; each as `publish` writes.
+
+        Args:
+            writes: Bytes by key, and the device's own time of capture [ns], of each.
+
+        Returns:
+            Whether all are on their way.
+        """
+        with self._lock:
+            requests = [self._writes.encode(values, capture_ns) for values, capture_ns in writes]
+            return not requests or self._post(b"".join(requests), [len(values) for values, _ in writes])
 
     def catch_up(self) -> bool:
         """Read the answers that have come, without waiting; return whether none is owed any more.
@@ -241,6 +242,20 @@ class Bus:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _post(self, requests: bytes, counts: Sequence[int]) -> bool:
+        """Send encoded writes of so many keys each; called with the lock held."""
+        if self._connection is None:
+            self.lost_writes += sum(counts)
+            return False
+        self._unanswered.extend(counts)
+        if not self._connection.owed:
+            self._heard_s = self.clock.monotonic_s()  # a long silence of ours is none of the server's
+        try:
+            return not self._account(self._connection, self._connection.post(requests, len(counts)))
+        except ConnectionLost as error:
+            self._lose(error)
+            return False
 
     def _account(self, connection: Connection, answers: list[Any]) -> bool:
         """Record the answers to writes; return whether one was refused.

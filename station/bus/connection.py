@@ -82,8 +82,8 @@ class Connection:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
 
-    def post(self, data: bytes) -> list[Any]:
-        """Send an encoded request and wait for its answer no longer than the time-out.
+    def post(self, data: bytes, count: int = 1) -> list[Any]:
+        """Send encoded requests, so many as `count`, and wait for their answers no longer than the time-out.
 
         While the answer to an earlier one is still owed there is no wait at all, and what the line does not take now
         is kept and sent by a later call: a server that stalls costs its writer one time-out, and loses nothing.
@@ -97,7 +97,7 @@ class Connection:
         answers = self.collect(0.0)  # those that came meanwhile, or one stall would leave us behind for ever
         is_behind = self.owed > 0
         self._unsent += data
-        self.owed += 1
+        self.owed += count
         return answers + self.collect(0.0 if is_behind else self._timeout_s)
 
     def _send_unsent(self, timeout_s: float) -> None:

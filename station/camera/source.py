@@ -15,7 +15,11 @@ Newest = Callable[[str], Sample | None]
 """Returns the newest value of a key that a camera asked for; None when there is none."""
 
 
-class CameraError(StationError):
+class SensorError(StationError):
+    """A sensor that is missing, refused, torn out or misconfigured; one line that says what to do."""
+
+
+class CameraError(SensorError):
     """A camera that is missing, busy, refused, torn out or misconfigured; one line that says what to do."""
 
 
@@ -34,12 +38,12 @@ class Picture(NamedTuple):
 
 
 class Drops(msgspec.Struct):
-    """Pictures that never came to the bus, by reason; each counts since the camera was opened.
+    """Pictures, or clouds, that never came to the bus, by reason; each counts since the sensor was opened.
 
     Attributes:
-        lost: The camera took them, and they never came: holes in its own numbering.
+        lost: The sensor took them, and they never came: holes in its own numbering.
         skipped: They were here, but a newer one was too.
-        torn: They were no whole JPEG file, or marked as damaged.
+        torn: They were not whole: no JPEG file, no cloud; or marked as damaged.
     """
 
     lost: int = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -13,6 +14,7 @@ from station.bus import client, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
+from station.bus.tap import Write, open_tap
 from station.errors import BusError
 from tests.faults.bus_station import pid_of
 from tests.waiting import DEADLINE_S, wait_until
@@ -49,6 +51,25 @@ def test_a_devices_capture_time_travels_with_the_stamp(bus_server: BusAddress) -
         mark = bus.read(["k"])["k"].stamp
     assert mark is not None
     assert mark.capture_ns == 123
+
+
+def test_a_batch_is_as_many_writes_each_with_its_own_stamp(bus_server: BusAddress) -> None:
+    tap = open_tap(bus_server)
+    with contextlib.closing(tap), Bus(bus_server, name="imu", timeout_s=5.0) as bus:
+        assert bus.publish_in_turn([])
+        assert bus.publish_in_turn([({"k": b"%d" % number}, 100 + number) for number in range(20)])
+        assert not bus.is_late
+        assert bus.publish({"k": b"last"})
+        came: list[Write] = []
+
+        def has_all() -> bool:
+            came.extend(write for write in tap.read(0.05) if write.key == "k")
+            return len(came) == 21
+
+        wait_until(has_all)
+    marks = [stamp.decode(write.stamp or b"") for write in came]
+    assert [write.value for write in came] == [*(b"%d" % number for number in range(20)), b"last"]
+    assert [mark and (mark.seq, mark.capture_ns) for mark in marks[:20]] == [(n + 1, n + 100) for n in range(20)]
 
 
 def test_names_lists_keys_without_their_stamps(bus_server: BusAddress) -> None:

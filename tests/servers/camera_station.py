@@ -37,6 +37,9 @@ class CameraStation(OneServer):
         folder: For its last words.
     """
 
+    kind = "camera"
+    key = staticmethod(keys.camera_image)
+
     def __init__(self, name: str, address: BusAddress, folder: Path) -> None:
         super().__init__(address, folder / f"{name}.err")
         self.name = name
@@ -47,7 +50,7 @@ class CameraStation(OneServer):
     def start(self, source: str, *, environment: Mapping[str, str] | None = None, **settings: Any) -> None:
         """Start the server; settings of its source are given as ``options={…}``."""
         config = json.dumps({"source": source, **settings})
-        command = [sys.executable, "-m", "station", "serve", "camera", "--name", self.name, "--bus", self._address.url,
+        command = [sys.executable, "-m", "station", "serve", self.kind, "--name", self.name, "--bus", self._address.url,
                    "--config-json", config]  # fmt: skip
         with self._words.open("wb") as stderr:
             self._process = subprocess.Popen(
@@ -78,7 +81,7 @@ class CameraStation(OneServer):
                 self.facts = json.loads(value)
             elif write.key == keys.server(self.name):
                 self.health = decode_health(value)
-            elif write.key == keys.camera_image(self.name) and value:
+            elif write.key == self.key(self.name) and value:
                 mark = stamps.decode(write.stamp or b"")
                 assert mark is not None
                 self.shots.append(Shot(value, mark))

@@ -1,4 +1,4 @@
-"""The pictures of an episode: which cameras there are, which depth, and each frame with the time it was taken at."""
+"""Pictures and clouds of an episode: which cameras, depth and lidars there are, and each frame with its time."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from station.contract import DEPTH_STEP_M
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage import pictures
+from station.episode.storage.bulk import CLOUD
 from station.optics import Optics, of_facts
 
 
 class Frame(NamedTuple):
-    """One picture.
+    """One picture, or one cloud.
 
     Times are nanoseconds since the Unix epoch on the episode's clock: `captured_ns` when it was taken (when it was
     written, where the camera does not say), `log_ns` arrival at the recorder. `data` is the file, byte for byte;
-    of a compacted episode one that was made of its video; of depth it is the PNG file.
+    of a compacted episode one that was made of its video; of depth it is the PNG file; of a lidar a cloud as in
+    `station.point_cloud`.
     """
 
     data: bytes
@@ -38,6 +40,11 @@ def cameras(reader: EpisodeReader) -> dict[str, str]:
 def depths(reader: EpisodeReader) -> dict[str, str]:
     """Return the key of each camera's depth by the camera's name, sorted; its recorded contract says so."""
     return {pictures.camera_of(topic): topic for topic in _topics(reader, pictures.DEPTH)}
+
+
+def lidars(reader: EpisodeReader) -> dict[str, str]:
+    """Return the key of each lidar's clouds by the lidar's name, sorted; its recorded contract says so."""
+    return {topic.removeprefix(keys.lidar_cloud("")): topic for topic in _topics(reader, CLOUD)}
 
 
 def all_pictures(reader: EpisodeReader) -> dict[str, str]:
@@ -70,17 +77,17 @@ def optics(reader: EpisodeReader) -> tuple[dict[str, Optics], dict[str, str]]:
 
 
 def frames(reader: EpisodeReader, topic: str) -> Iterator[Frame]:
-    """Iterate over the pictures of a key in order of arrival, one at a time in memory."""
+    """Iterate over the pictures, or clouds, of a key in order of arrival, one at a time in memory."""
     for message in reader.messages([topic], stamps=True):
         if not message.channel.is_deletion:
             yield Frame(message.data, captured_ns(message), message.log_ns, message.sequence)
 
 
 def captured_ns(message: Message) -> int:
-    """Return when a picture was taken, on the episode's clock [ns]: it needs the exact stamp of its write."""
+    """Return when a picture or cloud was taken, on the episode's clock [ns]; it needs the exact stamp of its write."""
     return pictures.captured_ns(message.publish_ns, message.stamp)
 
 
 def _topics(reader: EpisodeReader, form: str) -> list[str]:
-    """Return the keys whose recorded contracts say that they hold pictures of a format, sorted."""
+    """Return the keys whose recorded contracts say that they hold values of a codec, sorted."""
     return sorted({each.topic for each in reader.channels() if each.contract and each.contract.codec == form})

@@ -98,10 +98,15 @@ def around(key: str, size: int, publish_ns: int, stamp: bytes | None) -> tuple[b
     return _before(captured_ns(publish_ns, stamp), size), _behind(camera_of(key), DEPTH if is_depth(key) else COLOUR)
 
 
-def _before(taken_ns: int, size: int) -> bytes:
+def time_before(taken_ns: int) -> bytes:
+    """Return the time stamp with which a message of a picture, or of a cloud, begins [ns since the epoch]."""
     seconds, nanos = divmod(max(0, taken_ns), _NANOSECONDS)
     time = (_SECONDS + varint(seconds) if seconds else b"") + (_NANOS + varint(nanos) if nanos else b"")
-    return b"".join((_TIMESTAMP, varint(len(time)), time, _DATA, varint(size)))
+    return b"".join((_TIMESTAMP, varint(len(time)), time))
+
+
+def _before(taken_ns: int, size: int) -> bytes:
+    return b"".join((time_before(taken_ns), _DATA, varint(size)))
 
 
 @lru_cache(maxsize=256)

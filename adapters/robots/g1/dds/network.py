@@ -129,10 +129,15 @@ class Network:
         """Leave the network; a second call does nothing."""
         self._participant.__del__()  # now, with all that is its own; else when the last reader is forgotten
 
-    def reader(self, topic: str, kind: type[IdlStruct], depth: int) -> Reader:
-        """Return a reader that keeps the newest messages, so many as `depth`."""
+    def reader(self, topic: str, kind: type[IdlStruct], depth: int, *, is_reliable: bool = False) -> Reader:
+        """Return a reader that keeps the newest messages, so many as `depth`.
+
+        A reliable one has lost packets sent again, which a message of many packets needs; it hears only writers that
+        offer that.
+        """
+        reliable, best_effort = Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.Reliability.BestEffort
         wants = Qos(
-            Policy.Reliability.BestEffort,
+            reliable if is_reliable else best_effort,
             Policy.History.KeepLast(depth),
             Policy.TypeConsistency.DisallowTypeCoercion(),
         )
