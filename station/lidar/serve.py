@@ -11,7 +11,7 @@ from station.bus import codec, keys
 from station.camera.feed import Feed, Kind
 from station.lidar.source import Lidar, Scan
 from station.life.server import Life
-from station.optics import Mount
+from station.optics import Mount, Optics
 from station.point_cloud import SensorPose, encoded
 
 _KIND = Kind("lidar", "clouds", told_late="fields")
@@ -45,6 +45,7 @@ def serve_lidar(
 
     feed = Feed(
         life, open_lidar, _KIND, key=key, described=dict, values=values, beside=publish_imu,
-        head={"server": life.name, "role": "sensor", "lidar": name, "key": key, **facts},
+        head={"server": life.name, "role": "sensor", "lidar": name, "key": key, **facts,
+              **Optics(mount=mount).facts()},
     )  # fmt: skip
     return feed.run()

@@ -14,6 +14,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.pictures import camera_of
 from station.errors import StationError
 from station.view import layout, phases, poses, scene
+from station.view.clouds import draw_clouds
 from station.view.depth_pictures import draw_depth
 from station.view.episode_curves import Source, draw_curves
 from station.view.episode_story import draw_events, draw_states
@@ -104,11 +105,14 @@ def draw(
     view.curves = drawn.entities
     view.warnings += drawn.warnings
     placed: dict[str, str] = {}
-    view.warnings += _draw_robot(recording, source, view, robot_model, placed)
+    bodies: set[str] = set()
+    view.warnings += _draw_robot(recording, source, view, robot_model, placed, bodies)
     depths = draw_depth(recording, source, placed)
+    clouds = draw_clouds(recording, source, bodies)
     draw_states(recording, source, view.robot)
     view.events = draw_events(recording, source)
-    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, groups=drawn.groups, pictures=depths)
+    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, groups=drawn.groups, pictures=depths,
+                             clouds=clouds)  # fmt: skip
     recording.send_blueprint(arranged)
     view.seconds = time.perf_counter() - began
     return view
@@ -121,9 +125,13 @@ def _recording(reader: EpisodeReader) -> rr.RecordingStream:
 
 
 def _draw_robot(
-    recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None, placed: dict[str, str]
-) -> list[str]:
-    """Draw robot and reference, put the entity of each camera that is drawn with it into `placed`, by its name."""
+    recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None, placed: dict[str, str],
+    bodies: set[str],
+) -> list[str]:  # fmt: skip
+    """Draw robot and reference, put the entity of each camera that is drawn with it into `placed`, by its name.
+
+    Names of the bodies that are drawn are put into `bodies`.
+    """
     description, recorded = source.reader.known.robot(view.robot), source.contracts.values()
     where = poses.measured(source.vectors, poses.state_keys(view.robot, recorded, description), description)
     if where is None:
@@ -133,6 +141,7 @@ def _draw_robot(
     if model is None:
         return warnings
     view.poses = len(where.times_ns)
+    bodies |= model.visible
     scene.log_shapes(recording, scene.ROBOT, model)
     (optics, why_not), depths = frames.optics(source.reader), frames.depths(source.reader).values()
     for key, one in optics.items():

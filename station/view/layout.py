@@ -44,6 +44,7 @@ def layout(
     has_robot: bool,
     groups: Mapping[str, tuple[str, ...]],
     pictures: Sequence[str] = (),
+    clouds: Sequence[str] = (),
     timeline: str = TIMELINE,
 ) -> Any:
     """Return the blueprint.
@@ -53,6 +54,7 @@ def layout(
         has_robot: Whether there is a robot to look at.
         groups: Names of joints by limb, where commanded and measured ones are there to be compared; else none.
         pictures: Entities that are pictures, for a tab of their own.
+        clouds: Entities with points that are not in the robot's scene, likewise.
         timeline: The timeline that is shown.
     """
     story: list[Any] = [
@@ -68,6 +70,10 @@ def layout(
     if pictures:
         tabs.append(
             rrb.Grid(*(rrb.Spatial2DView(origin=f"/{entity}", name=entity) for entity in pictures), name="Depth")
+        )
+    if clouds:
+        tabs.append(
+            rrb.Grid(*(rrb.Spatial3DView(origin=f"/{entity}", name=entity) for entity in clouds), name="Clouds")
         )
     left = rrb.Vertical(*story, row_shares=shares)
     body = rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[1, 1]) if tabs else left

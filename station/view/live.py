@@ -15,7 +15,7 @@ from station.bus.sample import Sample
 from station.errors import NotReady
 from station.life.loop import Rate
 from station.life.server import read_configurations
-from station.view import curves, layout, poses, scene
+from station.view import clouds, curves, layout, poses, scene
 from station.view.episode_story import StateOf, gate_state, level, line
 from station.view.find_model import find_model
 from station.view.phases import driven_by
@@ -53,7 +53,8 @@ class LiveView:
         self._contracts = {
             item.key: item for item in curves.drawable(one for one in known.of(self.robot) if one.vector_codec)
         }
-        others = [keys.command_gate(self.robot), keys.command_source(self.robot), keys.EVENT]
+        self._lidars = clouds.stated(servers)
+        others = [keys.command_gate(self.robot), keys.command_source(self.robot), keys.EVENT, *self._lidars]
         self._watch = bus.watch([*self._contracts, *others])
         self._model, self.warnings = find_model(servers, self.robot, robot_model)
         self._seen: dict[str, Sample] = {}
@@ -65,13 +66,15 @@ class LiveView:
     def poll(self) -> int:
         """Draw what is new since the last look; return how many keys that were."""
         self._recording.set_time(layout.TIMELINE, duration=self.clock.monotonic_s() - self._began_s)
-        wanted = (*self._contracts, *self._shown, keys.EVENT)
+        wanted = (*self._contracts, *self._shown, keys.EVENT, *self._lidars)
         fresh = {key: sample for key in wanted if (sample := self._fresh(key)) is not None}
         numbers = {key: found for key in self._contracts if key in fresh and (found := self._numbers(fresh[key]))}
         for found in numbers.values():
             curves.log_values(self._recording, found.contract, found.values[0])
         if numbers:
             self._pose()
+        for key in self._lidars.keys() & fresh.keys():
+            clouds.log_cloud(self._recording, key, fresh[key].value, self._bodies)
         self._draw_changes(fresh)
         return len(fresh)
 
@@ -93,6 +96,10 @@ class LiveView:
             keys.command_source(self.robot): (f"{layout.STATES}/motion", driven_by),
         }
 
+    @property
+    def _bodies(self) -> frozenset[str]:
+        return frozenset() if self._model is None else self._model.visible
+
     def _prepare(self) -> None:
         for contract in self._contracts.values():
             curves.log_names(self._recording, contract)
@@ -100,7 +107,11 @@ class LiveView:
         if self._model is not None:
             scene.log_shapes(self._recording, scene.ROBOT, self._model)
             scene.log_shapes(self._recording, scene.GHOST, self._model, is_ghost=True)
-        arranged = layout.layout(self._contracts.values(), has_robot=self._model is not None, groups={})
+        is_apart = clouds.apart(self._lidars.values(), self._bodies)
+        arranged = layout.layout(
+            self._contracts.values(), has_robot=self._model is not None, groups={},
+            clouds=[clouds.CLOUDS] if is_apart else [],
+        )  # fmt: skip
         self._recording.send_blueprint(arranged)
 
     def _fresh(self, key: str) -> Sample | None:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import rerun as rr
 from rich.console import Console, RenderableType
 
 from adapters.cameras.mujoco_robot import MujocoCamera
@@ -28,12 +29,13 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
+from adapters.lidars import ros_messages
 from adapters.motions.clip import Clip
 from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.dds import words
-from station import depth
+from station import depth, point_cloud
 from station.api.live import Record, Station
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
@@ -86,8 +88,10 @@ from station.protobuf import foxglove
 from station.supervision import doctor
 from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
+from station.view.clouds import log_cloud
 from station.view.progress import ProgressReader
 from tests.adapters.motions.made import smooth
+from tests.episode.filming import cloud
 from tests.fuzz.shelf import Shelf
 
 ROBOT, ARM = twist_keys.TWIST2_ROBOT, "kassow_kr810"
@@ -673,4 +677,30 @@ def _natnet() -> list[Parser]:
     return parsers
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet()]
+def _lidars() -> list[Parser]:
+    """What is made of clouds: of the bus, and of messages that anybody in a network may send."""
+    value = cloud(1, 12)
+    message = ros_messages.write_cloud(point_cloud.decoded(value), width=6, padding=4)
+    sample = ros_messages.write_imu(ros_messages.Imu((0.1, 0.2, 0.3), (0.0, 0.0, -9.8), 5), "top")
+    bad = (point_cloud.BadCloud,)
+
+    def seen(data: bytes) -> None:
+        found = point_cloud.decoded(data)
+        assert np.isfinite(point_cloud.voxels(point_cloud.xyz(found))).all()
+        point_cloud.records(found)
+
+    def drawn(data: bytes) -> None:
+        log_cloud(rr.RecordingStream("fuzz"), keys.lidar_cloud("top"), data, ("torso",))
+
+    def came(data: bytes) -> None:
+        seen(point_cloud.encoded(ros_messages.parse_cloud(data)))
+
+    return [
+        Parser("point cloud", seen, (value,), ("station.point_cloud",), bad),
+        Parser("point cloud, drawn", drawn, (value,), ("station.view.clouds",)),
+        Parser("point cloud of a network", came, (message,), ("adapters.lidars.ros_messages",), bad),
+        Parser("IMU of a network", ros_messages.parse_imu, (sample,), ("adapters.lidars.ros_messages",), bad),
+    ]
+
+
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars()]

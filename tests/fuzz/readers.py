@@ -28,6 +28,7 @@ from station.errors import StationError
 from station.export import columns, tracks, words
 from station.report import story, tracking_plot
 from station.view.run import read_run
+from tests.episode.filming import cloud
 from tests.episode.synthetic import EpisodeBuilder
 from tests.fuzz.mutants import mutant
 from tests.fuzz.parsers import ARM, CONFIG, EVENT, FORMATS, GATE, ROBOT, SOURCE, dumped
@@ -89,6 +90,8 @@ def _in_a_notebook(reader: EpisodeReader) -> None:
                 episode.numpy(key)
             except StationError:
                 continue
+        for lidar in episode.lidars:
+            assert all(np.isfinite(points).all() for _, points in episode.clouds(lidar))
         for robot in (ROBOT, ARM):
             episode.steps(robot)
 
@@ -128,6 +131,7 @@ def good() -> tuple[Values, Values]:
     results |= {key(ARM): codec.f64(rng.normal(size=length)) for key, length in lengths.items()}
     results[keys.state_counters(ARM)] = codec.f64(np.arange(len(robot_streams.COUNTERS + robot_streams.SESSION_TIMES)))
     results[keys.state_controller(ARM)] = dumped({"backend": "sim", "profile": "a", "lead_rad": 0.1})
+    results[keys.lidar_cloud("a")] = cloud(1, 20)
     results[keys.action_joints(ARM)] = codec.json_vector(np.zeros(7))
     return state, results
 

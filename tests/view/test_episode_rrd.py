@@ -14,9 +14,11 @@ from station import depth
 from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.errors import BadFile, StationError
+from station.point_cloud import decoded, encoded, voxels, xyz
 from station.view.episode_rrd import save
 from station.view.layout import TIMELINE
 from tests.episode import lock_step
+from tests.episode.filming import cloud
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
 from tests.export.pictured import depth_steps, jpeg
 from tests.view import arms
@@ -103,6 +105,29 @@ def test_depth_lies_below_its_camera_in_the_scene_in_millimetres(builder: Episod
         assert [bytes(blob[0]) for blob in blobs] == [depth.encoded(depth_steps(number)) for number in range(3)]
         assert np.ravel(recorded.column(entity, "EncodedDepthImage:meter")).tolist() == [1000.0] * 3
         assert recorded.seconds(entity, TIMELINE) == pytest.approx([0.0, 0.1, 0.2], abs=0.001)
+
+
+def test_clouds_lie_on_the_body_that_their_lidar_is_mounted_on_twice_a_second(
+    builder: EpisodeBuilder, tmp_path: Path
+) -> None:
+    walk(builder, seconds=1.0)
+    for number in range(10):
+        for name, frame in (("top", "head"), ("room", "world"), ("loose", "livox")):
+            value = encoded(decoded(cloud(number))._replace(frame=frame))
+            builder.write({keys.lidar_cloud(name): value}, at_s=0.1 * number, writer=name)
+    builder.write({keys.lidar_cloud("bad"): b"none"}, at_s=0.5, writer="bad")
+    path = tmp_path / "ep.rrd"
+    save(open_episode(builder.finish({})), path, robot_model=tiny(tmp_path))
+    verify(path)
+    recorded = Recorded(path)
+    assert {name for name in recorded.entities if name.endswith(("top", "room", "loose", "bad"))} == {
+        "world/robot/head/top", "world/room", "clouds/loose",
+    }  # fmt: skip
+    for entity in ("world/robot/head/top", "clouds/loose"):
+        first, second = recorded.column(entity, "Points3D:positions")
+        assert np.asarray(first) == pytest.approx(voxels(xyz(decoded(cloud(0)))))
+        assert len(second) > 50
+        assert recorded.seconds(entity, TIMELINE) == pytest.approx([0.0, 0.5], abs=0.001)
 
 
 def test_time_line_is_seconds_since_the_start_of_the_episode(builder: EpisodeBuilder, tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import NotReady
 from station.life import events
+from station.point_cloud import decoded, encoded, voxels, xyz
 from station.view.live import LiveView
+from tests.episode.filming import cloud
 from tests.episode.synthetic import ROBOT, STANDING, command
 from tests.view import arms
 from tests.view.robots import tiny
@@ -73,6 +75,31 @@ def test_newest_values_are_drawn_once_each(bus: Bus, tmp_path: Path) -> None:
     assert recorded.column("states/gate", "StateChange:state") == [["entering"], ["tracking"]]
     assert recorded.column("events", "TextLog:text") == [["g1: mark label=here"]]
     assert recorded.rows(f"curves/state/{keys.sim_qpos(ROBOT)}/position") == 2
+
+
+@pytest.mark.parametrize(("parent", "entity"), [("head", "world/robot/head/top"), ("", "clouds/top")])
+def test_the_newest_cloud_of_a_lidar_that_is_stated_is_drawn(
+    parent: str, entity: str, bus: Bus, tmp_path: Path
+) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    publish(bus, height=0.8)
+    facts = {"lidar": "top", "key": keys.lidar_cloud("top"), **({"mount": {"parent": parent}} if parent else {})}
+    bus.publish({keys.server_config("top"): json.dumps(facts).encode()})
+    with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
+        wait_until(lambda: view._watch.is_connected)
+        view.poll()
+        for number in range(2):
+            value = encoded(decoded(cloud(number))._replace(frame=parent or "livox"))
+            bus.publish({keys.lidar_cloud("top"): value})
+            wait_until(view.poll)
+        bus.publish({keys.lidar_cloud("top"): b"no cloud"})
+        wait_until(view.poll)
+    recording.flush()
+    recording.disconnect()
+    recorded = Recorded(tmp_path / "live.rrd")
+    found = recorded.column(entity, "Points3D:positions")
+    assert [len(points) for points in found] == [len(voxels(xyz(decoded(cloud(number))))) for number in range(2)]
 
 
 def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path: Path) -> None:
