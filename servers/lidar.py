@@ -101,6 +101,10 @@ class LidarConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         """
         return configs.build_options(self.kind.options, self.options, where=f"options of the source {self.source}")
 
+    def cloud_bytes_per_s(self) -> float:
+        """Return about how much its clouds need [bytes/s]."""
+        return _BYTES_PER_S
+
 
 def main(config: LidarConfig, life: Life) -> int:
     """Publish clouds until asked to stop; return the exit code."""

@@ -1,4 +1,4 @@
-"""What an episode will need of the disk: measured on the last one of its task, else by the cameras that will run."""
+"""What an episode will need of the disk: measured on the last one of its task, else by what will run."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from station.bus import keys
 from station.episode.storage import layout, pictures
 from station.episode.storage.folder import find_episodes, slug
 from station.episode.storage.manifest import Manifest
@@ -25,6 +26,15 @@ class Filming(Protocol):
 
     def picture_bytes_per_s(self) -> float:
         """Return about how much the pictures need [bytes/s]."""
+        ...
+
+
+@runtime_checkable
+class Scanning(Protocol):
+    """The configuration of a server that publishes point clouds."""
+
+    def cloud_bytes_per_s(self) -> float:
+        """Return about how much the clouds need [bytes/s]."""
         ...
 
 
@@ -53,12 +63,22 @@ def disk_need(configs: dict[str, object], data: Path, task: str | None) -> DiskN
         for name, config in configs.items()
         if isinstance(config, Filming) and getattr(config, "depth", False)
     }
+    lidars = {
+        str(getattr(config, "name", "") or name): config.cloud_bytes_per_s()
+        for name, config in configs.items()
+        if isinstance(config, Scanning)
+    }
     for manifest in _newest(data, task) if task else ():
-        if (found := _measured(manifest, {*cameras, *depths})) is not None:
+        if (found := _measured(manifest, {*cameras, *depths}, lidars)) is not None:
             return DiskNeed(found, f"as {manifest.episode_id}")
-    filmed = sum(cameras.values()) * 60e-6
-    why = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}, estimated" if cameras else ""
-    return DiskNeed(SIGNALS_MB_PER_MINUTE + filmed, why)
+    sensed = (sum(cameras.values()) + sum(lidars.values())) * 60e-6
+    counts = [_counted(len(cameras), "camera"), _counted(len(lidars), "lidar")]
+    why = ", ".join([*filter(None, counts), "estimated"]) if any(counts) else ""
+    return DiskNeed(SIGNALS_MB_PER_MINUTE + sensed, why)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count > 1 else ''}" if count else ""
 
 
 def _newest(data: Path, task: str) -> Sequence[Manifest]:
@@ -73,13 +93,19 @@ def _newest(data: Path, task: str) -> Sequence[Manifest]:
     return found
 
 
-def _measured(manifest: Manifest, cameras: Collection[str]) -> float | None:
-    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras, or depth."""
+def _measured(manifest: Manifest, cameras: Collection[str], lidars: Collection[str]) -> float | None:
+    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras, depth, or lidars."""
     filmed = {
         pictures.title_of(stream.key) for stream in manifest.streams if stream.file == layout.CAMERAS and stream.count
     }
+    scanned = {
+        stream.key.removeprefix(keys.lidar_cloud(""))
+        for stream in manifest.streams
+        if stream.file == layout.CLOUDS and stream.count
+    }
     seconds = manifest.timing.duration_s or 0.0
-    if manifest.state != "finished" or seconds < _LEAST_S or filmed != {*cameras} or not manifest.recorder.bytes:
+    is_alike = filmed == {*cameras} and scanned == {*lidars}
+    if manifest.state != "finished" or seconds < _LEAST_S or not is_alike or not manifest.recorder.bytes:
         return None
     compacted = manifest.compacted
     saved = 0 if compacted is None else compacted.made_of.bytes - compacted.bytes

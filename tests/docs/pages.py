@@ -137,6 +137,12 @@ PAGES = {
         "station up g1-sim-pico --record": Typed(elsewhere="the next one, by a fake"),
         "station up g1-sim-mocap --record": Typed(elsewhere="the next one, by a fake"),
     }),
+    "docs/lidar.md": Page({
+        "pip install": _INSTALLS,
+        "station bus start": Typed(until="Ctrl-C stops it"),
+        "station serve lidar": Typed(until="active on"),
+        "python -m adapters.lidars.dds_room": Typed(elsewhere="tests/servers/test_proof_lidar.py"),
+    }, has_upstream_data=False),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,
         "station up kassow-sim-spacemouse --set": Typed(

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from servers.camera import CameraConfig
+from servers.lidar import LidarConfig
 from station.bus import keys
 from station.episode.storage.manifest import (
     Compacted,
@@ -52,6 +53,15 @@ def test_every_camera_that_will_run_counts_by_its_size_and_rate(tmp_path: Path) 
     assert three.mb_per_minute == pytest.approx(SIGNALS_MB_PER_MINUTE + pictures)
     assert three.why == "3 cameras, estimated"
     assert disk_need({"head": CameraConfig()}, tmp_path, None) == one, "a source's own is 640x480 at 30 Hz"
+
+
+def test_a_lidar_counts_too(tmp_path: Path) -> None:
+    one = disk_need({"head": HEAD}, tmp_path, None)
+    both = disk_need({"head": HEAD, "top": LidarConfig()}, tmp_path, None)
+    assert both.mb_per_minute - one.mb_per_minute == pytest.approx(5.2 * 60)
+    assert both.why == "1 camera, 1 lidar, estimated"
+    record(tmp_path, 1, mb=50, seconds=30)
+    assert disk_need({"head": HEAD, "top": LidarConfig()}, tmp_path, "walk") == both, "that one had no lidar"
 
 
 def test_the_last_episode_of_the_task_with_the_same_cameras_knows_better(tmp_path: Path) -> None:

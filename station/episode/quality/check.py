@@ -229,7 +229,9 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         ends_s=span_s,
         presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
         silences=presence.silences(measured.heartbeats),
-        no_pictures=presence.without_pictures(manifest, (camera.key for camera in cameras), measured.heartbeats),
+        no_pictures=presence.without_pictures(
+            manifest, (stream.key for stream in streams if stream.count), measured.heartbeats
+        ),
         rivals=rivals(commands, measured.ends),
         pauses=pauses.described(paused, start_ns),
         **_told(measured, manifest),

@@ -52,7 +52,7 @@ class KeyPresence(msgspec.Struct, frozen=True, kw_only=True):
     is_end_told: bool
 
 
-LossKind = Literal["server-died", "server-given-up", "server-restarted", "server-silent", "camera-lost"]
+LossKind = Literal["server-died", "server-given-up", "server-restarted", "server-silent", "camera-lost", "lidar-lost"]
 
 
 class Loss(msgspec.Struct, frozen=True, kw_only=True):

@@ -236,7 +236,7 @@ class Quality(msgspec.Struct, kw_only=True):
         swapped_cameras: Cameras that changed places since the first episode of the task.
         ends_s: From when to when there is an episode, from its start [s].
         presence: How each rated key lies in it.
-        no_pictures: Keys of cameras that were there, and of which there is no picture.
+        no_pictures: Keys of cameras and lidars that were there, and of which there is no picture or cloud.
         silences: The longest silence of each server.
         losses: Servers that died or fell silent and cameras that were lost, by events.
         rivals: Command keys with several writers at once.

@@ -18,7 +18,8 @@ from station.episode.quality.finding_parts import KeyPresence, Loss, LossKind, S
 from station.episode.quality.findings import StreamQuality
 from station.episode.quality.pauses import End
 from station.episode.reading.messages import Message
-from station.episode.storage import pictures
+from station.episode.storage import layout, pictures
+from station.episode.storage.bulk import names_of
 from station.episode.storage.manifest import Manifest
 
 _BLEND_S = 5.0  # how long a server goes on commanding, towards standing, after it has said that its commands end
@@ -101,9 +102,9 @@ def find(
 
 
 def without_pictures(manifest: Manifest, seen: Iterable[str], heard: Heartbeats) -> list[str]:
-    """Return the keys of cameras that were there by the manifest, and of which there is no picture.
+    """Return the keys of cameras and lidars that were there by the manifest, and of which there is no picture or cloud.
 
-    A bus remembers configurations of servers that are long gone: where there are heartbeats, a camera counts that has
+    A bus remembers configurations of servers that are long gone: where there are heartbeats, a sensor counts that has
     one.
     """
     listed = {str(facts.get("key")) for facts in manifest.cameras}
@@ -113,7 +114,7 @@ def without_pictures(manifest: Manifest, seen: Iterable[str], heard: Heartbeats)
         if name in heard.alive or not heard.alive
         for one in pictures.stated(facts)
     }
-    return sorted(filter(pictures.is_picture, (listed | stated) - set(seen)))
+    return sorted(key for key in (listed | stated) - set(seen) if names_of(key) is not layout.SIGNALS_NAMES)
 
 
 def silences(heard: Heartbeats) -> list[Silence]:
@@ -129,7 +130,7 @@ def silences(heard: Heartbeats) -> list[Silence]:
 
 
 def losses(events: Iterable[tuple[float, Mapping[str, Any]]], manifest: Manifest) -> list[Loss]:
-    """Return servers that died, and cameras that were lost, during the episode, by the recorded events."""
+    """Return servers that died, and cameras and lidars that were lost, during the episode, by the recorded events."""
     found: list[Loss] = []
     for at_s, event in events:
         kind = next((kind for kind in get_args(LossKind) if kind == event.get("name")), None)

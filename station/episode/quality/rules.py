@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from station.bus import keys
 from station.episode.quality.cameras import told_apart
-from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
+from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss, LossKind
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
 from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
@@ -19,6 +19,7 @@ _JUDGED_ROLES = ("command", "state", "policy")
 
 _NAMED = 5  # keys of a finding that are listed
 _DESCRIBED = ("command", "state", "policy", "sensor")
+_SENSORS: dict[LossKind, str] = {"camera-lost": "camera", "lidar-lost": "lidar"}
 _OF_THE_ROBOT = ("state", "policy")
 _ANY_HZ = 1e9
 _LAST_S = 0.005
@@ -411,22 +412,22 @@ def _writer_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
 
 
 def _server_died(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    for server, losses in _by_server(one for one in quality.losses if one.kind != "camera-lost").items():
+    for server, losses in _by_server(one for one in quality.losses if one.kind not in _SENSORS).items():
         verdict: Verdict = "reject" if losses[0].role == "low-level" else "usable"
         yield verdict, f"server {server} at {losses[0].at_s:.2f} s: {losses[0].kind}, {losses[0].reason}{_more(losses)}"
 
 
 def _camera_lost(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    for server, losses in _by_server(one for one in quality.losses if one.kind == "camera-lost").items():
-        yield "usable", f"camera {server} lost at {losses[0].at_s:.2f} s: {losses[0].reason}{_more(losses)}"
+    for kind, sensor in _SENSORS.items():
+        for server, losses in _by_server(one for one in quality.losses if one.kind == kind).items():
+            yield "usable", f"{sensor} {server} lost at {losses[0].at_s:.2f} s: {losses[0].reason}{_more(losses)}"
 
 
 def _no_pictures(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     for key in quality.no_pictures:
-        yield (
-            "reject",
-            f"camera {pictures.title_of(key)}: its server lived, and there is no picture of it",
-        )
+        lidar = key.removeprefix(keys.lidar_cloud(""))
+        what, one = (f"camera {pictures.title_of(key)}", "picture") if lidar == key else (f"lidar {lidar}", "cloud")
+        yield "reject", f"{what}: its server lived, and there is no {one} of it"
 
 
 def _of_streams(quality: Quality) -> list[KeyPresence]:

@@ -14,6 +14,7 @@ from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
+from tests.episode.filming import cloud
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, tick, walk
 from tests.export import pictured
 
@@ -304,6 +305,35 @@ def test_a_camera_whose_server_lived_and_that_gave_no_picture_rejects(
     for name, state in beats.items():
         builder.write({keys.server(name): json.dumps({"state": state}).encode()}, at_s=5.0, writer=name)
     assert said(finished(builder, servers=SERVERS | CAMERA)) == expected
+
+
+LIDAR = {"top": {"role": "sensor", "key": keys.lidar_cloud("top"), "lidar": "top"}}
+
+
+def scan(builder: EpisodeBuilder, *, gap_s: tuple[float, float] = (0.0, 0.0)) -> None:
+    for number in range(round(10 * LENGTH_S)):
+        if not gap_s[0] < number / 10 < gap_s[1]:
+            builder.write({keys.lidar_cloud("top"): cloud(number)}, at_s=number / 10, writer="top")
+
+
+def test_clouds_are_counted_and_a_gap_in_them_is_told(builder: EpisodeBuilder) -> None:
+    run(builder)
+    scan(builder, gap_s=(2.0, 4.0))
+    quality = finished(builder, servers=SERVERS | LIDAR)
+    (stream,) = [one for one in quality.streams if one.key == keys.lidar_cloud("top")]
+    assert stream.count == round(10 * LENGTH_S) - 19
+    assert any(rule == "device-gap" for rule, _ in said(quality))
+
+
+def test_a_lidar_that_gave_nothing_rejects_and_one_that_was_lost_is_told(builder: EpisodeBuilder) -> None:
+    run(builder)
+    builder.write({keys.server("top"): b'{"state": "active"}'}, at_s=5.0, writer="top")
+    builder.event("lidar-lost", at_s=5.0, source="top", severity="warning", key=keys.lidar_cloud("top"), reason="off")
+    quality = finished(builder, servers=SERVERS | LIDAR)
+    assert [(r.rule, r.verdict, r.text) for r in quality.reasons] == [
+        ("no-pictures", "reject", "lidar top: its server lived, and there is no cloud of it"),
+        ("camera-lost", "usable", "lidar top lost at 5.00 s: off"),
+    ]
 
 
 def test_a_camera_that_was_lost_is_told_with_its_time_and_reason(builder: EpisodeBuilder) -> None:
