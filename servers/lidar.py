@@ -60,7 +60,7 @@ class LidarConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Configuration of the lidar server.
 
     Attributes:
-        source: Where the clouds come from: ``dds``, ``rays``, or as it is registered.
+        source: Where the clouds come from: ``dds``, ``udp``, ``rays``, or as it is registered.
         options: The source's.
         name: Of the lidar, in its keys ``lidar_cloud_NAME`` and ``lidar_imu_NAME``; "" for the server's own name.
         mount: Where it is fixed: parent (a body of the robot, or ``world``), position_m, rpy_rad; None leaves clouds in
@@ -123,7 +123,7 @@ def main(config: LidarConfig, life: Life) -> int:
 KIND = ServerKind(
     name="lidar",
     role="sensor",
-    summary="point clouds of a lidar: a robot's over DDS, or simulated",
+    summary="point clouds of a lidar: over DDS, its own packets, or simulated",
     config=LidarConfig,
     main=main,
     expect=lambda config: libraries.expect(f"lidar source {config.source}", config.kind.library, config.kind.extra),

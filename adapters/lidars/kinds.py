@@ -56,6 +56,30 @@ class RaysOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 0.1 to 100 Hz")
 
 
+class UdpOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `udp`.
+
+    Attributes:
+        address: Of this machine, in the lidar's network; ``0.0.0.0`` for any.
+        lidar: Address of the lidar; "" hears whoever sends.
+        point_port, imu_port: Where it sends points and its IMU.
+        rate_hz: Clouds per second that its packets are put together to [Hz].
+    """
+
+    address: str = "0.0.0.0"
+    lidar: str = ""
+    point_port: int = 56301
+    imu_port: int = 56401
+    rate_hz: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, port in (("point_port", self.point_port), ("imu_port", self.imu_port)):
+            if not 1 <= port <= 65535:
+                raise ValueError(f"{name} is {port}; expected 1 to 65535")
+        if not 0.1 <= self.rate_hz <= 100.0:
+            raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 0.1 to 100 Hz")
+
+
 def _dds(options: DdsOptions) -> Lidar:
     from adapters.lidars.dds_lidar import DdsLidar
 
@@ -68,6 +92,12 @@ def _rays(options: RaysOptions) -> Lidar:
     return RaysLidar(options)
 
 
+def _udp(options: UdpOptions) -> Lidar:
+    from adapters.lidars.udp_lidar import UdpLidar
+
+    return UdpLidar(options)
+
+
 DDS = LidarKind(
     name="dds", about="a robot's lidar over DDS: PointCloud2, and its IMU", library="cyclonedds", extra="g1",
     options=DdsOptions, open=_dds,
@@ -75,4 +105,8 @@ DDS = LidarKind(
 RAYS = LidarKind(
     name="rays", about="a simulated one: rays in a room around a robot that stands", library="", extra="",
     options=RaysOptions, open=_rays,
+)  # fmt: skip
+UDP = LidarKind(
+    name="udp", about="a Livox lidar that sends its packets to this machine", library="", extra="", options=UdpOptions,
+    open=_udp,
 )  # fmt: skip

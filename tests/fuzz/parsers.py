@@ -29,7 +29,8 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
-from adapters.lidars import ros_messages
+from adapters.lidars import livox_packets, ros_messages
+from adapters.lidars.room import Room
 from adapters.motions.clip import Clip
 from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
@@ -695,10 +696,24 @@ def _lidars() -> list[Parser]:
     def came(data: bytes) -> None:
         seen(point_cloud.encoded(ros_messages.parse_cloud(data)))
 
+    def packed(data: bytes) -> None:
+        packet = livox_packets.parse(data)
+        if packet.type == livox_packets.IMU:
+            livox_packets.imu_of(packet)
+        else:
+            seen(point_cloud.encoded(livox_packets.cloud_of([packet])))
+
     return [
         Parser("point cloud", seen, (value,), ("station.point_cloud",), bad),
         Parser("point cloud, drawn", drawn, (value,), ("station.view.clouds",)),
         Parser("point cloud of a network", came, (message,), ("adapters.lidars.ros_messages",), bad),
+        Parser(
+            "lidar's packet",
+            packed,
+            (next(livox_packets.write_points(Room(1920).cloud(10**9))), livox_packets.write_imu([0.1] * 6, 1, 1)),
+            ("adapters.lidars.livox_packets",),
+            bad,
+        ),
         Parser("IMU of a network", ros_messages.parse_imu, (sample,), ("adapters.lidars.ros_messages",), bad),
     ]
 
