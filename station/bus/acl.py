@@ -36,6 +36,7 @@ _OPERATOR = (
     keys.operator_hand_left(_ANY), keys.operator_hand_right(_ANY), keys.operator_twist(_ANY),
     keys.operator_joints(_ANY),
 )  # fmt: skip
+_SENSORS = (keys.camera_image(_ANY), keys.camera_depth(_ANY), keys.lidar_cloud(_ANY), keys.lidar_imu(_ANY))
 _BUTTONS = (keys.ARM, keys.RECORD)  # of a device that commands
 _SERVERS = ("command", "low-level", "recorder", "sensor", "observer")
 
@@ -82,7 +83,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
         "command": (*commands, *signals, *_BUTTONS, keys.EVENT),
         "low-level": (*_STATES, *shared["state"], *signals, keys.EVENT),
         "recorder": (keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE, keys.EVENT),
-        "sensor": (*_OPERATOR, keys.camera_image(_ANY), keys.camera_depth(_ANY), *shared["sensor"], keys.EVENT),
+        "sensor": (*_OPERATOR, *_SENSORS, *shared["sensor"], keys.EVENT),
         "observer": (keys.EVENT,),
         "viewer": (),
         "operator": (
