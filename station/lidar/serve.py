@@ -36,6 +36,7 @@ def serve_lidar(
     pose = None if mount is None else SensorPose(mount.position_m, mount.quat_wxyz)
 
     def values(scan: Scan) -> dict[str, bytes]:
+        life.report(points=scan.cloud.points)
         placed = scan.cloud if mount is None or pose is None else scan.cloud._replace(frame=mount.parent, pose=pose)
         return {key: encoded(placed)}
 

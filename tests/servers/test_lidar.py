@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -40,13 +41,14 @@ class Sender:
         from adapters.lidars.kinds import DdsOptions
         from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
 
-        with domain() as number:
-            self.options = {"domain": number}
-            self._network = Network(NetworkOptions(domain=number))
+        self._held = contextlib.ExitStack()
+        number = self._held.enter_context(domain())
+        self.options = {"domain": number}
+        network = self._held.enter_context(Network(NetworkOptions(domain=number)))
         topics = DdsOptions()
-        self.cloud = self._network.writer(topics.cloud, raw(dds_types.PointCloud2)).write
-        self.imu = self._network.writer(topics.imu, raw(dds_types.Imu)).write
-        self.close = self._network.close
+        self.cloud = network.writer(topics.cloud, raw(dds_types.PointCloud2)).write
+        self.imu = network.writer(topics.imu, raw(dds_types.Imu)).write
+        self.close = self._held.close
 
 
 @pytest.fixture
@@ -143,7 +145,7 @@ def test_what_is_refused_or_comes_too_fast_is_counted_and_a_silent_lidar_is_told
     sender.cloud(good)
     lidar.until(lambda: lidar.told("lidar-back"))
     lidar.until(lambda: lidar.detail.get("clouds") == len(lidar.shots))
-    assert lidar.detail["lidar"] == "live"
+    assert (lidar.detail["lidar"], lidar.detail["points"]) == ("live", 500)
     assert lidar.detail["kilobytes"] is None or lidar.detail["kilobytes"] > 13.0
     assert lidar.stop() == 0
 
