@@ -100,7 +100,8 @@ def encoded(cloud: PointCloud) -> bytes:
     """
     expect_sound(cloud)
     head = _head(cloud.frame, cloud.pose, cloud.stride, cloud.fields)
-    time = b"" if cloud.sensor_ns is None else _member(_SENSOR_TIME, _time(cloud.sensor_ns))
+    is_timed = cloud.sensor_ns is not None and cloud.sensor_ns >= 0  # a sensor without a clock may tell anything
+    time = _member(_SENSOR_TIME, _time(cloud.sensor_ns or 0)) if is_timed else b""
     return b"".join((head, time, _tag(_DATA, BYTES), varint(len(cloud.data)), cloud.data))
 
 
@@ -117,7 +118,7 @@ def decoded(value: bytes) -> PointCloud:
         for number, kind, start, end in wire.fields(view):
             part = view[start:end]
             match number, kind:
-                case (2, wire.BYTES):
+                case 2, wire.BYTES:
                     frame = bytes(part).decode()
                 case 3, wire.BYTES:
                     pose = _pose_in(part)

@@ -7,7 +7,7 @@ import pytest
 
 from adapters.lidars.room import FIELDS, STRIDE
 from adapters.lidars.ros_messages import Imu, parse_cloud, parse_imu, write_cloud, write_imu
-from station.point_cloud import BadCloud, PointCloud, PointField, SensorPose, records, xyz
+from station.point_cloud import BadCloud, PointCloud, PointField, SensorPose, decoded, encoded, records, xyz
 
 PADDED = (
     PointField("x", 0, "<f4"), PointField("y", 4, "<f4"), PointField("z", 8, "<f4"), PointField("intensity", 16, "<f4"),
@@ -32,6 +32,12 @@ def test_table_and_bytes_are_those_of_the_message(fields: tuple[PointField, ...]
     found = parse_cloud(write_cloud(sent))
     assert found._replace(data=bytes(found.data)) == sent
     assert isinstance(found.data, memoryview), "not copied"
+
+
+def test_a_time_before_the_epoch_is_left_out() -> None:
+    found = parse_cloud(write_cloud(cloud()._replace(sensor_ns=-5)))
+    assert found.sensor_ns == -5
+    assert decoded(encoded(found)).sensor_ns is None
 
 
 def test_big_endian_numbers_are_turned_and_mean_the_same() -> None:
