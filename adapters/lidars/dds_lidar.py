@@ -13,7 +13,8 @@ from typing import Any
 from adapters.lidars import dds_types
 from adapters.lidars.kinds import DdsOptions
 from adapters.lidars.ros_messages import parse_cloud, parse_imu
-from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+from adapters.robots.g1.dds.network import Network
+from adapters.robots.g1.dds.options import NetworkOptions
 from station.camera.source import Drops
 from station.errors import ConfigError
 from station.lidar.source import ImuSample, LidarError, Scan
@@ -45,15 +46,15 @@ class DdsLidar:
             raise LidarError(str(error)) from None
         is_reliable = options.reliability == "reliable"
         self._clouds = self._network.reader(
-            options.cloud, raw(dds_types.PointCloud2), _CLOUDS, is_reliable=is_reliable
+            options.cloud, dds_types.PointCloud2, _CLOUDS, is_reliable=is_reliable
         )  # fmt: skip
-        self._imu = self._network.reader(options.imu, raw(dds_types.Imu), _SAMPLES) if options.imu else None
+        self._imu = self._network.reader(options.imu, dds_types.Imu, _SAMPLES) if options.imu else None
 
     def read(self, timeout_s: float) -> Scan | None:
         """Return the newest cloud that has arrived; see `Lidar.read`."""
         if not self._clouds.wait(timeout_s):
             return None
-        messages = self._clouds.take()
+        messages = self._clouds.take_stamped()
         now_ns, scan = time.monotonic_ns(), None
         for message in reversed(messages):
             if scan is not None:
@@ -64,7 +65,7 @@ class DdsLidar:
 
     def imu(self) -> Sequence[ImuSample]:
         """Return the samples that have come; when each was taken, by when it was sent before the newest one."""
-        messages = [] if self._imu is None else self._imu.take()
+        messages = [] if self._imu is None else self._imu.take_stamped()
         if not messages:
             return []
         now_ns, sent_ns = time.monotonic_ns(), messages[-1].sample_info.source_timestamp

@@ -13,7 +13,8 @@ from adapters.lidars import dds_types
 from adapters.lidars.kinds import DdsOptions
 from adapters.lidars.room import FRAME, POINTS, RATE_HZ, Room
 from adapters.lidars.ros_messages import Imu, write_cloud, write_imu
-from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.options import NetworkOptions
 from station.stop_signals import set_on_signals
 
 _IMU_PER_CLOUD = 20

@@ -39,7 +39,8 @@ class Sender:
     def __init__(self) -> None:
         from adapters.lidars import dds_types
         from adapters.lidars.kinds import DdsOptions
-        from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+        from adapters.robots.g1.dds.network import Network, raw
+        from adapters.robots.g1.dds.options import NetworkOptions
 
         self._held = contextlib.ExitStack()
         number = self._held.enter_context(domain())

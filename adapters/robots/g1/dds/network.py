@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState
+from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.pub import DataWriter
@@ -70,7 +70,8 @@ class RawMessage:
     __slots__ = ("data", "sample_info")
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.sample_info = data, None
+        self.data = data
+        self.sample_info: Any = None
 
 
 def raw(kind: type[IdlStruct]) -> type[IdlStruct]:
@@ -182,10 +183,22 @@ class Reader:
     def __init__(self, reader: DataReader[Any], kind: type[IdlStruct], depth: int) -> None:
         self._reader, self._kind, self._depth = reader, kind, depth
         self.malformed = 0
+        self._waits: WaitSet | None = None
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a message; return whether there is one. Other threads of the process go on."""
+        if self._waits is None:
+            self._waits = WaitSet(self._reader.participant)
+            self._waits.attach(ReadCondition(self._reader, ViewState.Any | InstanceState.Any | SampleState.NotRead))
+        return bool(self._waits.wait(duration(seconds=timeout_s)))
 
     def take(self) -> list[bytes]:
         """Return the messages since the last call as they came, header included, oldest first."""
-        return [message.data for message in self._reader.take(self._depth) if isinstance(message, RawMessage)]
+        return [message.data for message in self.take_stamped()]
+
+    def take_stamped(self) -> list[RawMessage]:
+        """As `take`, with what DDS says of each: when it was sent, by its sender's clock (``source_timestamp``)."""
+        return [message for message in self._reader.take(self._depth) if isinstance(message, RawMessage)]
 
     def writers(self) -> int:
         """Return how many writers of the topic there are now, those of this process too."""

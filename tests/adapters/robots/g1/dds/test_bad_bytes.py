@@ -1,4 +1,4 @@
-"""Bytes that are no message of a robot, or lie: a hundred thousand each way, and none moves a motor or ends a process."""
+"""Bytes that are no message, or lie: a hundred thousand each way, and none moves a motor or ends a process."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ def test_no_damaged_command_reaches_a_motor():
 def test_numbers_of_chance_with_a_right_checksum_reach_a_motor_only_where_they_are_numbers():
     chance, firmware = np.random.default_rng(6), Firmware(5)
     firmware.controller = ""
-    record = messages.command(_command()).copy()
+    good = messages.command(_command())
+    assert good is not None
+    record = good.copy()
     for _ in range(CASES // 10):
         words = chance.integers(0, 2**32, (29, 5), dtype=np.uint64).astype(np.uint32).view("<f4")
         for name, column in zip(("q", "dq", "tau", "kp", "kd"), words.T, strict=True):
