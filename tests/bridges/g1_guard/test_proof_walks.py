@@ -5,8 +5,9 @@ from __future__ import annotations
 import socket
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from statistics import mean
 
 import pytest
 
@@ -18,7 +19,7 @@ from tests.dds_domains import domain
 from tests.figures import Figures
 from tests.main_job.test_motions import SHIPPED
 
-pytestmark = [pytest.mark.timeout(600), pytest.mark.assets]
+pytestmark = [pytest.mark.timeout(900), pytest.mark.assets]
 
 OF_POLICY = {
     "tracker": (),
@@ -28,6 +29,7 @@ OF_POLICY = {
     ),
 }  # fmt: skip
 WORSE = 1.10
+RUNS = 2
 
 
 @pytest.fixture
@@ -37,15 +39,33 @@ def home(processes: None, assets: Path) -> Iterator[Home]:
         yield found
 
 
-def _recorded(home: Home, runbook: str, task: str, *settings: str) -> dict[str, Any]:
-    """Run a runbook unattended; return what is measured of its robot's steps."""
+def _recorded(home: Home, runbook: str, task: str, *settings: str) -> float:
+    """Run a runbook unattended; return the mean joint error of its robot [rad]."""
     sets = [word for setting in settings for word in ("--set", setting)]
     done = home.run("up", runbook, "--yes", "--record", "--task", task, *sets)
     assert done.returncode == 0, done.stderr
     found = home.json("check", str(home.episode(task)))
     assert found["falls"] == 0, task
     (steps,) = found["steps"]
-    return steps
+    return float(steps["mean_joint_error_rad"])
+
+
+@contextmanager
+def _guarded(guard: Path) -> Iterator[list[str]]:
+    """Have a guard on a domain of its own; yields the settings of a twin and a robot that meet there."""
+    with domain() as number:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        with subprocess.Popen([str(guard), "--domain", str(number), "--port", str(port)]) as running:
+            try:
+                of_robot = {"domain": number, "guard": "127.0.0.1", "guard_port": port}
+                yield [
+                    f"twin.options.domain={number}",
+                    *(f"robot.robot_options.{name}={value}" for name, value in of_robot.items()),
+                ]
+            finally:
+                running.terminate()
 
 
 @pytest.mark.parametrize("motion", SHIPPED, ids=lambda motion: Path(motion).stem[-3:])
@@ -53,23 +73,19 @@ def _recorded(home: Home, runbook: str, task: str, *settings: str) -> dict[str, 
 def test_a_walk_over_the_wire_is_as_good_as_in_simulation(
     policy: str, motion: str, home: Home, plain: Path, proof: Figures
 ) -> None:
-    simulated = _recorded(home, "g1-sim-motion", "simulated", f"motion.motion={motion}", f"g1.policy={policy}")
-    with domain() as number, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-        probe.close()
-        with subprocess.Popen([str(plain), "--domain", str(number), "--port", str(port)]) as guard:
-            try:
-                real = _recorded(
-                    home, "g1-twin-motion", "real", f"motion.motion={motion}", f"twin.options.domain={number}",
-                    f"robot.robot_options.domain={number}", "robot.robot_options.guard=127.0.0.1",
-                    f"robot.robot_options.guard_port={port}", *OF_POLICY[policy],
-                )  # fmt: skip
-            finally:
-                guard.terminate()
-    errors = [each["mean_joint_error_rad"] for each in (simulated, real)]
+    errors: dict[str, list[float]] = {"simulated": [], "real": []}
+    for number in range(RUNS):  # no two in real time are alike: a simulation differs from itself by 5 %
+        plays = f"motion.motion={motion}"
+        errors["simulated"].append(
+            _recorded(home, "g1-sim-motion", f"simulated-{number}", plays, f"g1.policy={policy}")
+        )  # fmt: skip
+        with _guarded(plain) as options:
+            errors["real"].append(
+                _recorded(home, "g1-twin-motion", f"real-{number}", plays, *options, *OF_POLICY[policy])
+            )  # fmt: skip
+    ratio = mean(errors["real"]) / mean(errors["simulated"])
     proof.figure(
         f"G1 over the wire, {policy} on walk {Path(motion).stem[-3:]}: mean joint error, of the simulation's",
-        errors[1] / errors[0], "", f"≤ {WORSE}",
+        ratio, "", f"≤ {WORSE}",
     )  # fmt: skip
-    assert errors[1] <= WORSE * errors[0]
+    assert ratio <= WORSE
