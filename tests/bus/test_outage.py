@@ -179,6 +179,7 @@ def test_a_half_open_connection_is_given_up_and_another_is_made(
         network.swallow()
         while bus.connections == 1:
             bus.publish({"k": b"2"})
+            time.sleep(0.005)  # as a writer does: one that never waits leaves the threads that reconnect no time
         wait_until(lambda: watch.connections == 2)
         assert bus.publish({"k": b"3"})
         wait_until(lambda: (found := watch.latest("k")) is not None and found.value == b"3")
