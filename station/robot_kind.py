@@ -30,6 +30,7 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
         is_default: Whether it is taken where no robot is named; one of all is.
         robot_name: Suffix of its keys where its policy follows commands that are for any robot; "" for a robot that
             follows none of those. Commands for one robot have its name.
+        library, extra: Distribution that it needs, and the extra of ours that brings it; "" for none.
     """
 
     name: str
@@ -43,6 +44,8 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
     checkpoint: str = ""
     is_default: bool = False
     robot_name: str = ""
+    library: str = ""
+    extra: str = ""
 
     def typed(self, options: Mapping[str, Any]) -> Any:
         """Return settings as its type has them.

@@ -199,6 +199,19 @@ def _leaves_nothing() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
+def real_time() -> None:
+    """A user who may ask for SCHED_FIFO: what lives by a wire at 500 Hz has to be punctual, whatever else runs."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        why = "this user may not ask for SCHED_FIFO (`ulimit -r`), and a robot twin in real time needs it"
+        if os.environ.get("CI"):
+            pytest.fail(why)
+        pytest.skip(why)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@pytest.fixture(scope="session")
 def processes() -> None:
     """Real processes: a test that uses this belongs to the tier `station`."""
 

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from station import assets, registry
+from station import assets, libraries, registry
 from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.command_formats import command_format
@@ -178,8 +178,10 @@ def expect(config: RigConfig) -> None:
         UnknownName: a name that is not registered.
         ConfigError: an option that the robot does not know, no checkpoint, a rate that cannot be, or no envelope.
         AssetMissing, BadFile: the checkpoint, the robot's model or an envelope is not there.
+        StationError: a library that the robot needs is not installed.
     """
     options = config.kind.typed(config.robot_options)
+    libraries.expect(f"robot {config.kind.name}", config.kind.library, config.kind.extra)
     if config.rate_hz:
         _expect_rate(config.rate_hz)
     _envelopes(config.envelope, [_checkpoint(config, choice) for choice in config.choices.values()])

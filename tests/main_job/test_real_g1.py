@@ -18,7 +18,7 @@ pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module")
-def walked(processes: None) -> Iterator[Home]:
+def walked(processes: None, real_time: None) -> Iterator[Home]:
     """A place where the twin walked, recorded."""
     with new_home() as home, domain() as number:
         settings = (f"twin.options.domain={number}", f"robot.robot_options.domain={number}", "motion.leave_s=0.5")

@@ -78,8 +78,15 @@ class Lab:
             if self.twin()["controller"]:
                 station.release_motors()
             self.wait_until_ready()
-            station.arm()
+            wait_until(lambda: self._is_armed(station))
         wait_until(lambda: self.twin()["is_stiff"])
+
+    def _is_armed(self, station: Station) -> bool:
+        try:
+            station.arm()
+        except Refused:  # by what has come up since the robot was ready; a robot of another moment may be armed
+            return False
+        return True
 
     def close(self) -> None:
         self.guard.kill()
@@ -87,7 +94,7 @@ class Lab:
 
 
 @pytest.fixture(scope="module")
-def lab(plain: Path, processes: None) -> Iterator[Lab]:
+def lab(plain: Path, processes: None, real_time: None) -> Iterator[Lab]:
     with new_home() as home, domain() as number, ExitStack() as stack:
         found = Lab(home, number, plain, stack)
         stack.callback(found.close)

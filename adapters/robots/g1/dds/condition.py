@@ -67,7 +67,7 @@ class Condition:
             self._tick = int(ticks[-1])
             if records["remote"].any():
                 self._remote_s = now_s
-        while self._came and now_s - self._came[0][0] > _OVER_S:
+        while len(self._came) > 1 and now_s - self._came[1][0] >= _OVER_S:  # the first ends what came before
             self._came.popleft()
 
     def on_battery(self, soc: float, now_s: float) -> None:
@@ -109,7 +109,7 @@ class Condition:
     def _why_irregular(self, now_s: float) -> str:
         span_s = now_s - self._came[0][0] if self._came else 0.0
         count, grown = sum(row[1] for row in list(self._came)[1:]), sum(row[2] for row in list(self._came)[1:])
-        if span_s < 0.9 * _OVER_S:
+        if span_s < _OVER_S:
             return f"its states have come for {span_s:.1f} s; expected {_OVER_S:g} s of them"
         if count / span_s < _RATE_HZ:
             return f"its states come at {count / span_s:.0f} Hz; expected 500: is the cable good, is this machine busy?"

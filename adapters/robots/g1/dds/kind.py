@@ -9,7 +9,6 @@ import msgspec
 from adapters.robots.g1 import description, wire
 from adapters.robots.g1.dds import rows
 from adapters.robots.g1.dds.options import G1DdsOptions
-from station import libraries
 from station.bus import keys
 from station.contract import Contract
 from station.description import ROBOT, RobotDescription
@@ -38,7 +37,6 @@ _GUARD = Contract(
 
 
 def _make(options: G1DdsOptions, control_dt_s: float) -> Robot:
-    libraries.expect(f"the robot {NAME}", "cyclonedds", "g1")
     from adapters.robots.g1.dds.robot import G1Dds
 
     return G1Dds(options, control_dt_s)
@@ -59,4 +57,6 @@ DDS = RobotKind(
     values=wire.stock_values,
     policy="tracker",
     robot_name="g1_29",
+    library="cyclonedds",
+    extra="g1",
 )
