@@ -5,7 +5,8 @@ Times are seconds since the start of the episode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -42,7 +43,8 @@ class Run:
     Attributes:
         episode_id: The episode.
         robot: Suffix of the robot, "" for none.
-        policy, motion: Their short names, "" where the episode does not say.
+        policy, motion: Their short names, "" where the episode does not say; of several policies the one that followed
+            longest.
         measured: Where the robot was; None where nothing tells.
         has_place: Whether its place and height were measured rather than assumed.
         commanded: Joints that it was asked for, after the gate where there was one; None where nothing tells.
@@ -112,7 +114,7 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
     return Run(
         episode_id=reader.episode_id,
         robot=robot,
-        policy=reader.manifest.policy.name or "",
+        policy=_followed(gates) or reader.manifest.policy.name or "",
         motion=name.motion,
         measured=measured,
         has_place=has_base and find(keys.sim_qpos(robot)) is not None,
@@ -127,6 +129,12 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
         start_ns=begin_ns,
         groups=description.groups if description is not None else {},
     )
+
+
+def _followed(gates: Sequence[tuple[float, str, str]]) -> str:
+    """Return the policy that drove longest while a command was followed, where several could; else ""."""
+    drove = Counter(policy for _, state, policy in gates if state == "tracking" and policy)
+    return max(drove, key=drove.__getitem__, default="")
 
 
 def _seconds(times_ns: Ints, start_ns: int) -> Floats:

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from station.api.episode import open_episode
+from station.view.run import read_run
 from tests.cli.running import Home, new_home
 from tests.dds_domains import domain
 
@@ -38,6 +39,7 @@ def test_it_walks_without_a_fall_and_every_step_is_what_the_policy_says(walked: 
     assert (audited["different"], audited["observations"]["different"], audited["targets"]["different"]) == (0, 0, 0)
     assert audited["steps"] > 500
     assert [each["policy"] for each in audited["took_over"]] == ["tracker"]
+    assert read_run(open_episode(walked.episode("walk"))._reader).policy == "tracker", "in the title of its pictures"
 
 
 def test_every_state_that_the_robot_sent_is_in_the_episode(walked: Home) -> None:
