@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.timeout(900), pytest.mark.assets]
 OF_POLICY = {
     "tracker": (),
     "twist2": (
-        "robot.policies={tracker: {policy: twist2}}", "robot.policy_options.of=twist2",
+        "robot.policies.tracker.policy=twist2", "robot.policy_options.of=twist2",
         f"robot.checkpoint={Twist2Policy.CHECKPOINT}",
     ),
 }  # fmt: skip
