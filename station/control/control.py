@@ -150,11 +150,7 @@ class ControlStep:
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
         """
         self._tick += 1
-        self._see_to_rest(state)
-        why_stand = self._check_robot(now_s)
-        decision = self.commanded.decide(sample, now_s, why_blocked=why_stand)
-        if why_stand and decision.state == "waiting":
-            self._give_up(why_stand)
+        decision = self._decide(state, sample, now_s)
         observation = self.policy.observe(state, decision.vector)
         observed_ns = self._clock.monotonic_ns()
         action = self.policy.act(observation)
@@ -243,6 +239,15 @@ class ControlStep:
             for path in self.commanded.paths:
                 path.gate.insist_on_silence("the robot was disarmed")
 
+    def _decide(self, state: RobotState, sample: Samples, now_s: float) -> Decision:
+        """Return what the gate lets through; nothing of a command while the robot has to stand."""
+        self._see_to_rest(state)
+        why_stand = self._check_robot(now_s)
+        decision = self.commanded.decide(sample, now_s, why_blocked=why_stand)
+        if why_stand and decision.state == "waiting":
+            self._give_up(why_stand)
+        return decision
+
     def _check_robot(self, now_s: float) -> str:
         """Ask a robot that checks itself; return why it has to stand, or "". Do what was asked for at the robot."""
         if self.checks is None:
@@ -266,7 +271,7 @@ class ControlStep:
     def _give_up(self, reason: str) -> None:
         """Disarm a robot that must not be driven on, and tell why."""
         if self.arming.state != "disarmed":
-            self._note("robot-gave-up", "error", reason=reason)
+            self._note("robot-fault", "error", reason=reason)
             self.disarm(reason)
 
     def _why_not_arm(self, now_s: float) -> str:

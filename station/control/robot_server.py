@@ -6,8 +6,9 @@ a newer command, and the gate's clock is that of the ticks, so a run is the same
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -30,6 +31,9 @@ from station.life.server import Life
 from station.parts import PartedCommand
 from station.protocols import ForAnyRobot, PolicySpec
 from station.software import software
+
+AnswerT = TypeVar("AnswerT")
+RequestT = TypeVar("RequestT", PolicyRequest, ControllerRequest)
 
 _RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
 
@@ -177,123 +181,141 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
     return 0
 
 
-class PolicyRequests:
-    """Has another policy drive the robot when that is asked for.
+class RobotRequests(ABC, Generic[RequestT, AnswerT]):
+    """Requests to one robot whose answer takes several control periods: each is done once, however often it is written.
 
     Args:
         control: The step of the robot.
         robot: Suffix of its keys; requests to other robots are none of ours.
-        on_switched: Called when another policy drives, to state that.
+        kind: Type of the requests.
+        what: What they are, for errors: ``a request for a policy``.
     """
 
-    def __init__(self, control: ControlStep, robot: str, on_switched: Callable[[], None]) -> None:
-        self._control, self._robot, self._on_switched = control, robot, on_switched
-        self._driving = control.policies.driving if control.policies is not None else ""
-        self._under_way: PolicyRequest | None = None
-        self._answer: PolicyAnswer | None = None
-        self._done = DoneRequests[PolicyAnswer]()
+    def __init__(self, control: ControlStep, robot: str, kind: type[RequestT], what: str) -> None:
+        self._control, self._robot, self._what = control, robot, what
+        self._kind: type[RequestT] = kind
+        self._note = control.commanded.add_event
+        self._under_way: RequestT | None = None
+        self._answer: AnswerT | None = None
+        self._done = DoneRequests[AnswerT]()
 
     def on_request(self, asked: Asked) -> None:
-        """Do what came on the key of requests."""
-        note = self._control.commanded.add_event
+        """Begin what came on the key of requests."""
         try:
-            request = parse(asked.data, PolicyRequest, "a request for a policy")
+            request = parse(asked.data, self._kind, self._what)
         except Refused as error:
-            note("request-refused", "warning", reason=str(error))
+            self._note("request-refused", "warning", reason=str(error))
             return
         if request.robot != self._robot or (self._under_way is not None and request.id == self._under_way.id != ""):
             return
         if (known := self._done.get(request.id)) is not None:  # its asker has not seen the answer yet
             self._answer = known
             return
-        refused = OVERTAKEN if self._done.begin(asked.first_ns(request.late_s)) else self._switch(request)
+        refused = OVERTAKEN if self._done.begin(asked.first_ns(request.late_s)) else self._begin(request)
         if refused:
-            note("policy-switch-refused", "warning", policy=request.policy, reason=refused, who=request.who)
+            self._on_refused(request, refused)
             self._reply(request, refused)
         else:
             self._under_way = request
 
-    def poll(self) -> PolicyAnswer | None:
+    def poll(self) -> AnswerT | None:
         """Answer what is done by now; return the newest answer."""
-        policies = self._control.policies
-        if policies is None:
-            return self._answer
-        if self._driving != policies.driving:
-            self._driving = policies.driving
-            self._on_switched()
-        if self._under_way is not None and not policies.is_switching:
+        if self._under_way is not None and (outcome := self._outcome()) is not None:
             request, self._under_way = self._under_way, None
-            self._reply(request, policies.refusal)
+            self._reply(request, outcome)
         return self._answer
 
-    def _switch(self, request: PolicyRequest) -> str:
-        policies = self._control.policies
-        if policies is None:
+    @abstractmethod
+    def _begin(self, request: RequestT) -> str:
+        """Begin to do it; return why not, or ""."""
+
+    @abstractmethod
+    def _outcome(self) -> str | None:
+        """Return why the one under way came to nothing, or ""; None while it goes on."""
+
+    @abstractmethod
+    def _on_refused(self, request: RequestT, reason: str) -> None:
+        """Publish that a request was refused."""
+
+    @abstractmethod
+    def _answer_of(self, request: RequestT, refused: str) -> AnswerT:
+        """Return the answer to a request."""
+
+    def _reply(self, request: RequestT, refused: str) -> None:
+        self._answer = self._answer_of(request, refused)
+        self._done.put(request.id, self._answer)
+
+
+class PolicyRequests(RobotRequests[PolicyRequest, PolicyAnswer]):
+    """Has another policy drive the robot when that is asked for.
+
+    Args:
+        control, robot: As in `RobotRequests`.
+        on_switched: Called when another policy drives, to state that.
+    """
+
+    def __init__(self, control: ControlStep, robot: str, on_switched: Callable[[], None]) -> None:
+        super().__init__(control, robot, PolicyRequest, "a request for a policy")
+        self._policies, self._on_switched = control.policies, on_switched
+        self._driving = self._policies.driving if self._policies is not None else ""
+
+    def poll(self) -> PolicyAnswer | None:
+        """Answer what is done by now; return the newest answer."""
+        if self._policies is not None and self._driving != self._policies.driving:
+            self._driving = self._policies.driving
+            self._on_switched()
+        return super().poll()
+
+    def _begin(self, request: PolicyRequest) -> str:
+        if self._policies is None:
             return "this robot's server has one policy alone; name others in its settings, `policies`"
         try:
-            policies.switch(request.policy, request.who)
+            self._policies.switch(request.policy, request.who)
         except StationError as error:
             return str(error)
         return ""
 
-    def _reply(self, request: PolicyRequest, refused: str) -> None:
-        self._answer = PolicyAnswer(id=request.id, policy=request.policy, refused=refused)
-        self._done.put(request.id, self._answer)
+    def _outcome(self) -> str | None:
+        return None if self._policies is None or self._policies.is_switching else self._policies.refusal
+
+    def _on_refused(self, request: PolicyRequest, reason: str) -> None:
+        self._note("policy-switch-refused", "warning", policy=request.policy, reason=reason, who=request.who)
+
+    def _answer_of(self, request: PolicyRequest, refused: str) -> PolicyAnswer:
+        return PolicyAnswer(id=request.id, policy=request.policy, refused=refused)
 
 
-class ReleaseRequests:
+class ReleaseRequests(RobotRequests[ControllerRequest, ControllerAnswer]):
     """Has a controller of the robot's own let go of the motors when that is asked for.
 
     Args:
-        control: The step of the robot.
-        robot: Suffix of its keys; requests to other robots are none of ours.
+        control, robot: As in `RobotRequests`.
     """
 
     def __init__(self, control: ControlStep, robot: str) -> None:
-        self._control, self._robot = control, robot
-        self._under_way: ControllerRequest | None = None
-        self._answer: ControllerAnswer | None = None
-        self._done = DoneRequests[ControllerAnswer]()
+        super().__init__(control, robot, ControllerRequest, "a request to a controller")
 
-    def on_request(self, asked: Asked) -> None:
-        """Do what came on the key of requests."""
-        note = self._control.commanded.add_event
-        try:
-            request = parse(asked.data, ControllerRequest, "a request to a controller")
-        except Refused as error:
-            note("request-refused", "warning", reason=str(error))
-            return
-        if request.robot != self._robot or (self._under_way is not None and request.id == self._under_way.id != ""):
-            return
-        if (known := self._done.get(request.id)) is not None:  # its asker has not seen the answer yet
-            self._answer = known
-            return
+    def _begin(self, request: ControllerRequest) -> str:
         checks = self._control.checks
-        refused = OVERTAKEN if self._done.begin(asked.first_ns(request.late_s)) else ""
         if request.action != "release" or checks is None:
-            refused = "this robot has no controller of its own that could do that"
-        elif self._control.arming.state != "disarmed":
-            refused = "it is armed; disarm it first"
-        if refused or checks is None:
-            note("controller-refused", "warning", reason=refused, who=request.who)
-            self._reply(request, refused)
-            return
-        note("controller-release", "warning", who=request.who)
+            return "this robot has no controller of its own that could do that"
+        if self._control.arming.state != "disarmed":
+            return "it is armed; disarm it first"
+        self._note("controller-release", "warning", who=request.who)
         checks.release()
-        self._under_way = request
+        return ""
 
-    def poll(self) -> ControllerAnswer | None:
-        """Answer what is done by now; return the newest answer."""
-        if self._under_way is not None and self._control.checks is not None:
-            is_releasing, refused = self._control.checks.releasing()
-            if not is_releasing:
-                request, self._under_way = self._under_way, None
-                self._reply(request, refused)
-        return self._answer
+    def _outcome(self) -> str | None:
+        if self._control.checks is None:
+            return None
+        is_releasing, refused = self._control.checks.releasing()
+        return None if is_releasing else refused
 
-    def _reply(self, request: ControllerRequest, refused: str) -> None:
-        self._answer = ControllerAnswer(id=request.id, action=request.action, refused=refused)
-        self._done.put(request.id, self._answer)
+    def _on_refused(self, request: ControllerRequest, reason: str) -> None:
+        self._note("controller-refused", "warning", reason=reason, who=request.who)
+
+    def _answer_of(self, request: ControllerRequest, refused: str) -> ControllerAnswer:
+        return ControllerAnswer(id=request.id, action=request.action, refused=refused)
 
 
 def _warn_of_rate(life: Life, rig: Rig) -> None:
