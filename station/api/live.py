@@ -91,12 +91,15 @@ class Value:
         self.written_ns = sample.stamp.wall_ns if sample.stamp is not None else None
 
     def vector(self) -> NDArray[Any]:
-        """Return its numbers, shape (m,), in the units of the contract.
+        """Return its numbers, shape (m,), in the units of the contract; of many rows the newest.
 
         Raises:
             UsageError: the key holds no vector, or these bytes are none.
         """
         kind = self.contract.vector_codec if self.contract is not None else None
+        if self.contract is not None and self.contract.codec == "f64-rows":
+            newest: NDArray[Any] = self._rows(len(self.contract.names))[-1]
+            return newest
         if kind is None:
             held = "nothing describes it" if self.contract is None else f"it holds {self.contract.codec}"
             raise UsageError(f"{self.key}: no vector, {held}; read its `data`, or `json()`")
@@ -104,6 +107,12 @@ class Value:
             return codec.parse_vector(kind, self.data)
         except codec.BadValue as error:
             raise UsageError(f"{self.key}: {error}") from None
+
+    def _rows(self, width: int) -> NDArray[Any]:
+        """Return rows of so many numbers, at least one."""
+        if not width or not self.data or len(self.data) % (8 * width):
+            raise UsageError(f"{self.key}: {len(self.data)} bytes; expected rows of {width} numbers")
+        return codec.parse_vector("f64", self.data).reshape(-1, width)
 
     def named(self) -> dict[str, float]:
         """Return its numbers by the names of the contract.

@@ -104,7 +104,7 @@ def _plain(found: Any, value: Value | None) -> Any:
 def _shown(value: Value) -> Any:
     """Return what a key holds, as JSON can have it; None where its bytes do not fit its contract."""
     try:
-        if value.contract is not None and value.contract.vector_codec is not None:
+        if value.contract is not None and (value.contract.vector_codec or value.contract.codec == "f64-rows"):
             return value.vector().tolist()
         return value.json() if value.contract is not None and value.contract.codec == "json" else None
     except UsageError:
