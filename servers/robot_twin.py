@@ -18,7 +18,7 @@ from station.errors import BadFile, ConfigError, Refused
 from station.life.loop import Rate, real_time
 from station.life.request import NewRequests, parse
 from station.life.server import Life, ServerKind
-from station.life.twin_request import ROLE_OF_TWINS, TwinAnswer, TwinRequest
+from station.life.twin_request import STATED_AS, TwinAnswer, TwinRequest
 from station.robot_twin import Twin, TwinKind
 
 _REPORT_S = 0.25
@@ -58,7 +58,7 @@ class TwinConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return {"options": self.kind.options, "faults": self.kind.faults}
 
 
-class Switches:
+class FaultSwitches:
     """The faults of a twin as they are now.
 
     Args:
@@ -108,7 +108,7 @@ def read_script(path: Path, kind: TwinKind) -> list[ScriptStep]:
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise ConfigError(f"{path}: expected a list, each row with at_s and faults by name")
     steps: list[ScriptStep] = []
-    switches = Switches(kind, {})
+    switches = FaultSwitches(kind, {})
     for number, row in enumerate(rows, 1):
         values = dict(row)
         at_s = values.pop("at_s", None)
@@ -133,12 +133,12 @@ def main(config: TwinConfig, life: Life) -> int:
     """Run the twin until asked to stop; return the exit code."""
     kind = config.kind
     script = read_script(config.script, kind) if config.script is not None else []
-    switches = Switches(kind, config.faults)
+    switches = FaultSwitches(kind, config.faults)
     twin = kind.make(kind.typed_options(config.options), switches.faults)
     try:
         with life.bus.watch([keys.TWIN]) as watch:
             requests = NewRequests(watch, keys.TWIN)
-            life.configured({"server": life.name, ROLE_OF_TWINS: kind.name, "config": to_plain(config)})
+            life.configured({"server": life.name, STATED_AS: kind.name, "config": to_plain(config)})
             if not life.ready():
                 return 0
             if config.real_time_priority:
@@ -149,7 +149,7 @@ def main(config: TwinConfig, life: Life) -> int:
     return 0
 
 
-def _run(life: Life, twin: Twin, switches: Switches, requests: NewRequests, script: list[ScriptStep]) -> None:
+def _run(life: Life, twin: Twin, switches: FaultSwitches, requests: NewRequests, script: list[ScriptStep]) -> None:
     rate, clock = Rate(1.0 / twin.period_s, life.clock), life.clock
     began_s = said_s = clock.monotonic_s()
     life.report(faults=switches.shown(), **twin.health())
@@ -172,7 +172,7 @@ def _run(life: Life, twin: Twin, switches: Switches, requests: NewRequests, scri
             )  # fmt: skip
 
 
-def _obey(life: Life, twin: Twin, switches: Switches, requests: NewRequests) -> Iterator[TwinAnswer]:
+def _obey(life: Life, twin: Twin, switches: FaultSwitches, requests: NewRequests) -> Iterator[TwinAnswer]:
     """Do what was asked for since the last call; yield the answer."""
     if (asked := requests.pop()) is None:
         return
@@ -190,7 +190,7 @@ def _obey(life: Life, twin: Twin, switches: Switches, requests: NewRequests) -> 
         yield TwinAnswer(id=wanted.id)
 
 
-def _apply(life: Life, twin: Twin, switches: Switches, who: str) -> None:
+def _apply(life: Life, twin: Twin, switches: FaultSwitches, who: str) -> None:
     twin.change(switches.faults)
     life.event("twin-changed", severity="warning", faults=switches.shown(), who=who)
 

@@ -18,7 +18,7 @@ from station.life.server import Health, decode_health, read_health
 WITHIN_S = 3.0
 """Longest wait for an answer [s]; a heartbeat comes twice a second."""
 
-ROLE_OF_TWINS = "twin"
+STATED_AS = "twin"
 """In what a twin's server states: which twin it runs."""
 
 
@@ -84,7 +84,7 @@ def _server_of(bus: Bus, twin: str) -> str:
     now_ns = bus.clock.wall_ns()
     for health in read_health(bus):
         stated = codec.parse_facts(bus.get(keys.server_config(health.name)) or b"")
-        if stated.get(ROLE_OF_TWINS) == twin and health.is_alive_at(now_ns):
+        if stated.get(STATED_AS) == twin and health.is_alive_at(now_ns):
             return health.name
     raise NotReady(f"no twin {twin!r} runs on {bus.address}; start one with `station robot-twin {twin}`")
 

@@ -72,6 +72,8 @@ DEFAULTS: dict[str, Phrase] = {
     "operator-stop-failed": _urgent("the stop was not taken", "alarm", "stop"),
     "operator-reset": _said("stop released", "up", "stop"),
     "fall": _urgent("the robot fell", "alarm", "fall"),
+    "robot-fault": _urgent("the robot is damped: {reason}", "alarm", "fall"),
+    "robot-has-to-stand": _urgent("the robot has to stand: {reason}", "lost", "gate"),
     "policy-switched": _said("{policy} drives", "note", "policy"),
     "policy-switch-refused": _said("policy not switched: {reason}", "no", "policy"),
     "bad-action": _urgent("the policy gives no numbers", "alarm", "policy"),

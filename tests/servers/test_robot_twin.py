@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.robots.g1.twin.kind import KIND
-from servers.robot_twin import Switches, TwinConfig, read_script
+from servers.robot_twin import FaultSwitches, TwinConfig, read_script
 from station.errors import BadFile, ConfigError
 from tests.cli.running import Home, new_home
 from tests.dds_domains import domain
@@ -88,7 +88,7 @@ def test_a_script_that_is_not_there_is_named(tmp_path):
 
 
 def test_faults_that_are_refused_change_nothing():
-    switches = Switches(KIND, {"soc": 50.0})
+    switches = FaultSwitches(KIND, {"soc": 50.0})
     with pytest.raises(ValueError, match="unknown key 'no'"):
         switches.change({"no": 1, "soc": 20.0})
     assert switches.shown() == {"soc": 50.0}

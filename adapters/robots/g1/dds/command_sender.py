@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.robots.g1.dds import guard_client, messages, topics, types
-from adapters.robots.g1.dds.condition import JOINTS
 from adapters.robots.g1.dds.guard_client import GuardClient, Reason, State
+from adapters.robots.g1.dds.health_monitor import JOINTS
 from adapters.robots.g1.dds.network import Network, raw
 from station.bus import codec
 from station.clock import Clock
@@ -27,13 +27,13 @@ _GUARD_SILENT_S = 0.3  # it speaks 50 times a second
 _CLOSING_S = 0.3
 
 
-class Line(Protocol):
-    """Where commands go. `poll` in each control period, before anything else is asked."""
+class CommandSender(Protocol):
+    """Sends commands to the motors. `poll` comes first in each control period."""
 
     guard: str
 
     def poll(self) -> None:
-        """Look what became of the line since the last period."""
+        """Take what came since the last period."""
         ...
 
     def why_not_arm(self) -> str:
@@ -45,7 +45,7 @@ class Line(Protocol):
         ...
 
     def open(self) -> bool:
-        """Ask for the motors, until they are ours; return whether they are, so that a command reaches them."""
+        """Ask for control of the motors until it is given; return whether a command reaches them."""
         ...
 
     def send(self, state: NDArray[Any], q: Floats, kp: Floats, kd: Floats) -> None:
@@ -53,11 +53,11 @@ class Line(Protocol):
         ...
 
     def damp(self, state: NDArray[Any], q: Floats) -> None:
-        """Have the motors damped, where they were ever ours."""
+        """Damp the motors, unless they were never under control from here."""
         ...
 
     def values(self) -> dict[str, bytes]:
-        """Return what there is to record of the line, by the name of its stream."""
+        """Return what there is to record, by the name of its stream."""
         ...
 
     def close(self, state: NDArray[Any], q: Floats) -> None:
@@ -65,8 +65,8 @@ class Line(Protocol):
         ...
 
 
-class DirectLine:
-    """This process writes ``rt/lowcmd``. When it dies the robot does what it does: nobody knows (`docs/g1-real.md`).
+class DirectSender:
+    """This process writes ``rt/lowcmd``. What the robot does when the process dies is not known (`docs/g1-real.md`).
 
     Args:
         network: The robot's.
@@ -87,7 +87,7 @@ class DirectLine:
         self._polls, self._other = 0, ""
 
     def poll(self) -> None:
-        """Look now and then who else writes."""
+        """Check for other writers, ten periods apart."""
         is_time = self._polls % _LOOKS_EVERY == 0
         self._polls += 1
         if is_time and (self._own.writers() != self._known or self._polls % _LOOKS_WELL_EVERY == 1):
@@ -104,7 +104,7 @@ class DirectLine:
         return f"another program writes {topics.LOW_CMD}: {self._other}" if self._other else ""
 
     def open(self) -> bool:
-        """The motors are whoever's who writes."""
+        """Return True: whatever is written reaches the motors."""
         return True
 
     def send(self, state: NDArray[Any], q: Floats, kp: Floats, kd: Floats) -> None:
@@ -133,7 +133,7 @@ class DirectLine:
             self._clock.sleep(self._period_s)
 
 
-class GuardedLine:
+class GuardedSender:
     """The guard writes ``rt/lowcmd``, and damps the robot when this process falls silent.
 
     Args:
@@ -155,21 +155,16 @@ class GuardedLine:
     def why_not_arm(self) -> str:
         """Return why the guard would not arm now, or ""."""
         status = self._client.status
-        if status is None or self._client.silence_s > _GUARD_SILENT_S:
-            return f"the guard at {self.guard} does not answer; `systemctl status g1-guard` on the robot's computer"
-        return self._in_words(status.why_not)
+        return self._why_silent() or ("" if status is None else self._in_words(status.why_not))
 
     def why_not_drive(self) -> str:
         """Return why the guard does not follow any more, or ""."""
         if self._client.why_not_armed is not Reason.NONE and self._is_asked:
             return self._in_words(self._client.why_not_armed)
-        if not self._is_ours:
-            return ""
-        if self._client.silence_s > _GUARD_SILENT_S:
-            silent_s = self._client.silence_s
-            return f"the guard at {self.guard} has been silent for {silent_s:.1f} s: what the robot does is not known"
+        if self._is_asked and (why_not := self._why_silent()):
+            return why_not
         status = self._client.status
-        if status is not None and status.state in (State.RAMPING, State.DAMPING):
+        if self._is_ours and status is not None and status.state in (State.RAMPING, State.DAMPING):
             return self._in_words(status.reason)
         return ""
 
@@ -202,6 +197,11 @@ class GuardedLine:
         """Have the guard damp the robot."""
         self.damp(state, q)
         self._client.close()
+
+    def _why_silent(self) -> str:
+        if self._client.silence_s <= _GUARD_SILENT_S:
+            return ""
+        return f"the guard at {self.guard} does not answer; `systemctl status g1-guard` on the robot's computer"
 
     def _in_words(self, reason: Reason) -> str:
         if reason is Reason.NONE:

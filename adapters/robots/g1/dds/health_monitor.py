@@ -25,7 +25,7 @@ _SOC_TO_ARM, _SOC_TO_STAND = 30.0, 10.0
 _REMOTE_S, _BATTERY_S = 1.0, 5.0
 
 
-class Condition:
+class HealthMonitor:
     """What the states of the last seconds say.
 
     Args:

@@ -36,15 +36,13 @@ _WRITES = Qos(
 
 
 @dataclass(frozen=True, slots=True)
-class Writer:
+class RemoteWriter:
     """Who writes a topic, as its participant says: nothing here is proven.
 
     Attributes:
-        key: Of the writer itself.
         host, pid, process: Where it runs; "" where it does not say.
     """
 
-    key: str
     host: str
     pid: str
     process: str
@@ -144,22 +142,18 @@ class Network:
         )
         return Reader(DataReader(self._participant, self._topic(topic, raw(kind)), wants), kind, depth)
 
-    def writer(self, topic: str, kind: type[IdlStruct]) -> RawWriter:
+    def writer(self, topic: str, kind: type[IdlStruct]) -> TopicWriter:
         """Return a writer; messages are bytes where the type is `raw`, else of the type."""
         found = self._topic(topic, kind)
-        return RawWriter(DataWriter(self._participant, found, _WRITES), kind, topic)
+        return TopicWriter(DataWriter(self._participant, found, _WRITES), kind, topic)
 
-    def writers_of(self, topic: str) -> list[Writer]:
+    def writers_of(self, topic: str) -> list[RemoteWriter]:
         """Return who else writes a topic now, without those of this participant."""
         alive = _alive(self._publications)
         found = [each for each in alive if each.topic_name == topic and str(each.participant_key) != self._own]
         said = {str(each.key): _properties(each) for each in _alive(self._participants)} if found else {}
         return [
-            Writer(
-                str(each.key),
-                *(said.get(str(each.participant_key), {}).get(name, "") for name in _SAID),
-            )
-            for each in found
+            RemoteWriter(*(said.get(str(each.participant_key), {}).get(name, "") for name in _SAID)) for each in found
         ]
 
     def _topic(self, name: str, kind: type[IdlStruct]) -> Topic[Any]:
@@ -216,7 +210,7 @@ class Reader:
         return found
 
 
-class RawWriter:
+class TopicWriter:
     """Writes messages of one topic; of each writer the newest counts, so it never waits for a reader.
 
     Args:

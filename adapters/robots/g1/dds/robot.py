@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.robots.g1.dds import messages, rows, topics, types
-from adapters.robots.g1.dds.condition import JOINTS, Condition
+from adapters.robots.g1.dds.command_sender import CommandSender, DirectSender, GuardedSender
 from adapters.robots.g1.dds.guard_limits import most_gains
-from adapters.robots.g1.dds.line import DirectLine, GuardedLine, Line
+from adapters.robots.g1.dds.health_monitor import JOINTS, HealthMonitor
 from adapters.robots.g1.dds.network import Network
 from adapters.robots.g1.dds.options import G1DdsOptions
 from adapters.robots.g1.dds.remote import Remote
@@ -60,7 +60,7 @@ class G1Dds:
     def __init__(self, options: G1DdsOptions, control_dt_s: float, clock: Clock = SYSTEM) -> None:
         self._options, self._dt_s, self._clock = options, control_dt_s, clock
         where = f"{options.interface}, domain {options.domain}"
-        self._condition, self._remote = Condition(where), Remote()
+        self._monitor, self._remote = HealthMonitor(where), Remote()
         self._lower = np.array([joint.lower for joint in G1.joints])
         self._upper = np.array([joint.upper for joint in G1.joints])
         self._network = Network(options)
@@ -76,10 +76,10 @@ class G1Dds:
         self._sent_q: Floats = np.zeros(JOINTS)
         self._bad_targets = ""
         try:
-            self._line: Line = (
-                GuardedLine(options.guard, options.guard_port, clock)
+            self._sender: CommandSender = (
+                GuardedSender(options.guard, options.guard_port, clock)
                 if options.guard
-                else DirectLine(self._network, control_dt_s, clock)
+                else DirectSender(self._network, control_dt_s, clock)
             )
             self._await_first_state(where)
         except StationError:
@@ -90,7 +90,7 @@ class G1Dds:
         """Return the newest measurement; what came before it since the last call goes to `values`."""
         self._take()
         self._switcher.poll()
-        self._line.poll()
+        self._sender.poll()
         assert self._state is not None
         return self._state
 
@@ -98,14 +98,14 @@ class G1Dds:
         now_s = self._clock.monotonic_s()
         came = self._states.take()
         records = messages.states([message for message in came if messages.is_intact(message)])
-        self._condition.on_states(records, len(came) - len(records), now_s)
+        self._monitor.on_states(records, len(came) - len(records), now_s)
         if len(records):
             self._newest = records[-1]
             self._remote.update(np.ascontiguousarray(records["remote"]))
             self._samples.append(rows.of(records))
             self._state = _state(self._newest, self._clock.monotonic_ns())
         for battery in self._batteries.take_objects():
-            self._condition.on_battery(float(battery.soc), now_s)
+            self._monitor.on_battery(float(battery.soc), now_s)
             self._battery = codec.f64(rows.battery(battery))
 
     def write(self, targets: JointTargets) -> JointTargets:
@@ -114,7 +114,7 @@ class G1Dds:
             self._bad_targets = self._bad_targets or why_not
             self._send_damping()
             return self._limp()
-        if not self._line.open():  # a handshake takes a period or two
+        if not self._sender.open():  # a handshake takes a period or two
             return self._limp()
         if self._steps < 0:
             self._steps, self._entry_q = 0, self._measured_q()
@@ -128,7 +128,7 @@ class G1Dds:
         self._steps += 1
         self._sent_q = q
         assert self._newest is not None
-        self._line.send(self._newest, q, kp, targets.kd)
+        self._sender.send(self._newest, q, kp, targets.kd)
         return JointTargets(q, kp, targets.kd)
 
     def damp(self) -> None:
@@ -139,7 +139,7 @@ class G1Dds:
     def _send_damping(self) -> None:
         self._steps = -1
         assert self._newest is not None
-        self._line.damp(self._newest, self._measured_q())
+        self._sender.damp(self._newest, self._measured_q())
 
     def _limp(self) -> JointTargets:
         zeros: Floats = np.zeros(JOINTS)
@@ -166,7 +166,7 @@ class G1Dds:
                 f"the robot says that it is of mode_machine {machine} ({known.get(machine, 'unknown')}); expected "
                 f"{self._options.mode_machine}; set mode_machine once the policy is known to be for that robot"
             )
-        return self._line.why_not_arm() or self._condition.why_not_arm(now_s)
+        return self._sender.why_not_arm() or self._monitor.why_not_arm(now_s)
 
     def why_not_drive(self) -> str:
         """Return why its joints have to be damped now, or ""."""
@@ -177,11 +177,11 @@ class G1Dds:
             return f"the robot's own controller {self._switcher.controller!r} has the motors; release it first"
         if self._bad_targets:
             return self._bad_targets
-        return self._line.why_not_drive() or self._condition.why_not_drive(now_s)
+        return self._sender.why_not_drive() or self._monitor.why_not_drive(now_s)
 
     def why_stand(self) -> str:
         """Return why it has to stop what it does and stand, to be damped a moment later, or ""."""
-        return self._condition.why_stand()
+        return self._monitor.why_stand()
 
     def pop_actions(self) -> list[str]:
         """Return what was asked for on the remote since the last call, as its buttons are set to ask for it."""
@@ -202,16 +202,16 @@ class G1Dds:
         self._samples = []
         if self._battery:
             found["battery"], self._battery = self._battery, b""
-        return found | self._line.values()
+        return found | self._sender.values()
 
     def health(self) -> dict[str, Any]:
         """Return what a heartbeat tells of it."""
         return {
-            "states_damaged": self._condition.damaged,
-            "state_ms_lost": self._condition.lost_ticks,
+            "states_damaged": self._monitor.damaged,
+            "state_ms_lost": self._monitor.lost_ticks,
             "own_controller": self._switcher.controller,
             "why_not_arm": self.why_not_arm(),
-            "guard": self._line.guard,
+            "guard": self._sender.guard,
         }
 
     def facts(self) -> dict[str, Any]:
@@ -223,13 +223,13 @@ class G1Dds:
             "domain": self._options.domain,
             "mode_machine": int(self._newest["mode_machine"]),
             "firmware": self._newest["version"].tolist(),
-            "guard": self._line.guard,
+            "guard": self._sender.guard,
         }
 
     def close(self) -> None:
         """Leave it damped."""
         assert self._newest is not None
-        self._line.close(self._newest, self._measured_q())
+        self._sender.close(self._newest, self._measured_q())
         self._network.close()
 
     def _await_first_state(self, where: str) -> None:
@@ -241,7 +241,7 @@ class G1Dds:
                 raise NotReady(
                     f"no state of a G1 within {self._options.first_state_within_s:g} s on {where}: is it switched on, "
                     "is its cable in this interface, does this machine have an address in 192.168.123.0/24? "
-                    f"({self._condition.damaged} damaged ones came)"
+                    f"({self._monitor.damaged} damaged ones came)"
                 )
 
     def _measured_q(self) -> Floats:

@@ -38,7 +38,7 @@ def of(records: NDArray[Any]) -> NDArray[np.float64]:
     """Return states, records of `messages.STATE`, shape (k,), as rows of `SAMPLES`, shape (k, m)."""
     import numpy as np
 
-    from adapters.robots.g1.dds.condition import JOINTS
+    from adapters.robots.g1.dds.health_monitor import JOINTS
 
     motors = records["motors"][:, :JOINTS]
     special = {"casing": motors["temperature"][..., 0], "winding": motors["temperature"][..., 1]}

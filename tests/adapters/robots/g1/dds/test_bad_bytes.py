@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.robots.g1.dds import messages, rows
-from adapters.robots.g1.dds.condition import Condition
+from adapters.robots.g1.dds.health_monitor import HealthMonitor
 from adapters.robots.g1.dds.remote import Remote
 from adapters.robots.g1.twin.faults import G1Faults
 from adapters.robots.g1.twin.firmware import Firmware
@@ -82,7 +82,7 @@ def test_numbers_of_chance_with_a_right_checksum_reach_a_motor_only_where_they_a
 
 def test_no_state_of_chance_ends_what_reads_it():
     chance, good = random.Random(7), _state()
-    condition, remote, count = Condition("lo"), Remote(), 0
+    monitor, remote, count = HealthMonitor("lo"), Remote(), 0
     for number in range(CASES // AT_ONCE):
         came = [_mutant(good, chance) for _ in range(AT_ONCE)]
         if number % 3 == 0:  # a lie with a right checksum
@@ -90,16 +90,16 @@ def test_no_state_of_chance_ends_what_reads_it():
             came.append(body[:-4] + messages.checksum(body).to_bytes(4, "little"))
         records = messages.states([message for message in came if messages.is_intact(message)])
         with np.errstate(all="ignore"):
-            condition.on_states(records, len(came) - len(records), number * 0.02)
+            monitor.on_states(records, len(came) - len(records), number * 0.02)
             if len(records):
                 count += len(records)
                 rows.of(records)
                 remote.update(np.ascontiguousarray(records["remote"]))
                 said = (
-                    condition.why_not_drive(number * 0.02),
-                    condition.why_stand(),
-                    condition.why_not_arm(number * 0.02),
+                    monitor.why_not_drive(number * 0.02),
+                    monitor.why_stand(),
+                    monitor.why_not_arm(number * 0.02),
                 )
                 assert all(isinstance(each, str) for each in said)
     assert count > CASES // AT_ONCE // 4
-    assert condition.damaged > 0.9 * CASES
+    assert monitor.damaged > 0.9 * CASES

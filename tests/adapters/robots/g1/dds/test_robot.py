@@ -177,7 +177,7 @@ def test_r12_r13_a_robot_that_falls_silent_is_damped(fault, words):
         found.run(0.16)
         when = next(i for i, record in enumerate(found.records[before:], 1) if (record.sent.kp == 0.0).all())
         assert when * PERIOD_S <= 0.15
-        assert words in found.reason("robot-gave-up")
+        assert words in found.reason("robot-fault")
         found.change(**dict.fromkeys(fault, "up" if "link" in fault else False))
         found.run(1.0)
         assert found.is_damped, "what comes back moves nothing"
@@ -191,7 +191,7 @@ def test_r14_the_remote_stops_it_whatever_else_is_held(buttons):
         found.hang()
         found.change(remote=buttons, remote_stop_dead=True)
         assert steps_until_damped(found) * PERIOD_S <= 0.06
-        assert " on the remote" in found.reason("robot-gave-up")
+        assert " on the remote" in found.reason("robot-fault")
         found.change(remote=())
         found.run(0.5)
         assert found.is_damped
@@ -206,7 +206,7 @@ def test_r14_one_damaged_message_presses_nothing():
         found.change(remote=())
         found.clock.now_ns += round(found.twin.period_s * 1e9)
         found.run(0.2)
-        assert "robot-gave-up" not in dict(found.events)
+        assert "robot-fault" not in dict(found.events)
 
 
 def _ask(found: Bench, **changed: Any) -> JointTargets:
@@ -277,9 +277,9 @@ def test_r16_its_own_controller_that_comes_back_in_mid_run_is_named_and_the_robo
         found.twin.firmware.controller = "ai"
         for _ in range(100):
             found.run(PERIOD_S)
-            if "robot-gave-up" in dict(found.events):
+            if "robot-fault" in dict(found.events):
                 break
-        assert "own controller 'ai' has the motors" in found.reason("robot-gave-up")
+        assert "own controller 'ai' has the motors" in found.reason("robot-fault")
         assert (found.records[-1].sent.kp == 0.0).all()
 
 
@@ -318,10 +318,10 @@ def test_r18_a_motor_that_is_too_hot_in_mid_walk_ends_it_standing(fault, words):
         found.change(**fault)
         _walk(found, 2.6)  # its commands go on
         assert words in found.reason("robot-has-to-stand")
-        assert words in found.reason("robot-gave-up")
+        assert words in found.reason("robot-fault")
         states = [record.decision.state for record in found.records]
         told = [[event.name for event in record.step_events] for record in found.records]
-        gave_up = next(number for number, names in enumerate(told) if "robot-gave-up" in names)
+        gave_up = next(number for number, names in enumerate(told) if "robot-fault" in names)
         assert states[gave_up - 1 : gave_up + 1] == ["returning", "waiting"]
         assert found.is_damped
 
@@ -384,5 +384,16 @@ def test_a_robot_that_reports_no_numbers_is_damped_and_sent_none():
         measure = found.twin.body.measure
         found.twin.body.measure = lambda: replace(measure(), q=np.full(29, np.nan))
         assert steps_until_damped(found) <= 2
-        assert found.reason("robot-gave-up") == "the robot reports what is no number"
+        assert found.reason("robot-fault") == "the robot reports what is no number"
         assert "not finite" not in found.twin.firmware.refused
+
+
+def test_a_guard_that_does_not_answer_is_named_before_arming_and_in_a_handshake():
+    with bench(guard="127.0.0.1", guard_port=9) as found:
+        found.plug_in()
+        found.robot.release()
+        found.run(3.0)
+        assert "the guard at 127.0.0.1:9 does not answer" in found.robot.why_not_arm()
+        assert found.robot.why_not_drive() == ""
+        _ask(found)
+        assert "the guard at 127.0.0.1:9 does not answer" in found.robot.why_not_drive()
