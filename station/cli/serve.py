@@ -33,6 +33,8 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
         return
     values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
     built = config.build(kind.config, values, where=f"server {server} (`station settings {server}` lists them)")
+    if kind.expect is not None and not config_json:  # a supervisor has asked before it started this
+        kind.expect(built)
     python_child.write_stacks_when_asked()
     with log_lines.never_waited_for():
         raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
