@@ -104,11 +104,12 @@ class JointCommand:
     holds_position: bool = True
     velocities: tuple[int, ...] = ()
     note: str = ""
+    stock_key: str = ""
 
     @classmethod
     def within(
         cls, name: str, robot: str, joint_names: tuple[str, ...], *, lower: Floats, upper: Floats, margin: Floats,
-        rate: Floats,
+        rate: Floats, stock_key: str = "",
     ) -> Self:  # fmt: skip
         """Return the command of a robot's n joints, between limits of shape (n,), which are copied.
 
@@ -117,6 +118,7 @@ class JointCommand:
             robot: Suffix of the robot's keys.
             joint_names: Of its joints, in order.
             lower, upper, margin, rate: As in `station.protocols.CommandFormat`.
+            stock_key: Bus key that stock programs write it on; "" for the station's own.
         """
         import numpy as np
 
@@ -124,7 +126,8 @@ class JointCommand:
         lower, upper, margin, rate = (np.array(array) for array in (lower, upper, margin, rate))
         for array in (default, lower, upper, margin, rate):
             array.flags.writeable = False
-        return cls(name, robot, elements((positions(joint_names), "rad")), default, lower, upper, margin, rate)
+        items = elements((positions(joint_names), "rad"))
+        return cls(name, robot, items, default, lower, upper, margin, rate, stock_key=stock_key)
 
     @property
     def auxiliary(self) -> Mapping[str, Floats]:
@@ -141,7 +144,7 @@ class JointCommand:
     @property
     def key(self) -> str:
         """Bus key of the command."""
-        return keys.action_joints(self.robot)
+        return self.stock_key or keys.action_joints(self.robot)
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the joints of a reference that are the arm's, shape (n,).

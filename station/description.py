@@ -49,6 +49,8 @@ class RobotDescription(msgspec.Struct, frozen=True, kw_only=True):
         parts: Keys of command and state of what it moves beside its body, by name: ``left hand``.
         drawn_as: Its model where its server names none: a path or ``collection:path``; "" for none.
         has_base: Whether it stands on its own and can fall; else it is fixed to the ground.
+        is_carried: Whether it is a hand, a neck or a tool on another robot: it may be still, rest at its ends, and be
+            stopped by what it holds.
         streams: What its keys hold, with `ROBOT` and `JOINT` where they stand for the robot's own.
     """
 
@@ -60,6 +62,7 @@ class RobotDescription(msgspec.Struct, frozen=True, kw_only=True):
     parts: dict[str, tuple[str, str]] = {}
     drawn_as: str = ""
     has_base: bool = False
+    is_carried: bool = False
     streams: tuple[Contract, ...] = ()
 
     @property

@@ -134,6 +134,7 @@ class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
             all instants [rad/s^3]; None where too few samples follow each other.
         worst_jerk_joint: The joint with the greatest.
         command_jerk_p99_rad_s3, command_worst_jerk_joint: The same of the positions that were commanded.
+        is_carried: As in `station.description.RobotDescription`: it may be still, and at its ends.
         limits_from: What says where the joints end; "" where nothing does, and the next three say nothing.
         limit_hits: How often a joint came to its end.
         limit_share: Share of time that the joint was at its end which was there longest, 0..1.
@@ -159,6 +160,7 @@ class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
     beyond_limit_rad: float | None
     command_jerk_p99_rad_s3: float | None = None
     command_worst_jerk_joint: str = ""
+    is_carried: bool = False
 
 
 class ArmQuality(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,8 +1,9 @@
 """A state that stands still though the robot moves: the whole of it written again and again, or a single joint stuck.
 
 Frozen: the very same numbers in more than five writes in a row, while the gate lets commands through, and either the
-applied command covers more than 0.05 rad meanwhile or the frozen velocities say that a joint moves. An arm in
-simulation that stands still repeats its state exactly: nothing asks it to move, and its velocities are none.
+frozen velocities say that a joint moves or the applied command had covered more than 0.05 rad five writes before the
+last of them. A robot in simulation that stands still repeats its state exactly, until a command that has begun to move
+reaches its joints.
 
 Repeated: a state that is the one before once more, in a write of its own, while a velocity says that a joint moves. A
 sensor that is read half as often as it is told repeats every second one.
@@ -43,7 +44,7 @@ class StepRows(NamedTuple):
         writes: How many states had been written when the step was made, shape (k,).
         state: The whole state that each saw, shape (k, m).
         q, asked: Of the n joints that state and command share: measured, and applied or NaN where the gate let no
-            command through, shape (k, n) [rad].
+            command through or things may stop a joint, shape (k, n) [rad].
         speed: Of the joint that is fastest, as the state says, shape (k,) [rad/s]; 0 where it says nothing.
     """
 
@@ -57,30 +58,33 @@ class StepRows(NamedTuple):
 
 @dataclass
 class _Run:
-    """Steps in a row that saw equal states."""
+    """Steps in a row that saw equal states; `moved_write` is that at which the command had moved, -1 before."""
 
     first_ns: int
     last_ns: int
     first_write: int
     last_write: int
+    speed: float
     low: Floats
     high: Floats
-    speed: float
+    moved_write: int = -1
 
-    def joined(self, later: _Run) -> _Run:
+    def joined(self, last_ns: int, asked: Floats, writes: Ints) -> _Run:
+        """Return it with further steps: what was asked in each, shape (k, n), and the writes that it had seen."""
+        low = np.fmin.accumulate(np.vstack([self.low, asked]))[1:]
+        high = np.fmax.accumulate(np.vstack([self.high, asked]))[1:]
+        moved_write = self.moved_write
+        if moved_write < 0 and (moved := (high - low > IDLE_BELOW_RAD).any(axis=1)).any():  # NaN is no motion
+            moved_write = int(writes[np.argmax(moved)])
         return replace(
-            self,
-            last_ns=later.last_ns,
-            last_write=later.last_write,
-            low=np.fmin(self.low, later.low),
-            high=np.fmax(self.high, later.high),
+            self, last_ns=last_ns, last_write=int(writes[-1]), low=low[-1], high=high[-1], moved_write=moved_write
         )
 
     @property
     def is_frozen(self) -> bool:
         if self.last_write - self.first_write < MOST_EQUAL:
             return False
-        return self.speed > _MOVES_RAD_S or bool((self.high - self.low > IDLE_BELOW_RAD).any())  # NaN is no motion
+        return self.speed > _MOVES_RAD_S or 0 <= self.moved_write <= self.last_write - MOST_EQUAL
 
 
 class FrozenMeter:
@@ -104,16 +108,10 @@ class FrozenMeter:
         starts = np.flatnonzero(~same)
         bounds = starts if len(starts) and starts[0] == 0 else np.concatenate([[0], starts])
         ends = np.append(bounds[1:], len(same)) - 1
-        low, high = np.fmin.reduceat(rows.asked, bounds), np.fmax.reduceat(rows.asked, bounds)
         is_long = rows.writes[ends] - rows.writes[bounds] >= MOST_EQUAL
         is_long[[0, -1]] = True  # they may go on in another block
         for index in np.flatnonzero(is_long).tolist():
-            begin, end = int(bounds[index]), int(ends[index])
-            run = _Run(
-                int(rows.times[begin]), int(rows.times[end]), int(rows.writes[begin]), int(rows.writes[end]),
-                low[index], high[index], float(rows.speed[begin]),
-            )  # fmt: skip
-            self._add(run, goes_on=bool(same[begin]))
+            self._add(rows, int(bounds[index]), int(ends[index]), goes_on=bool(same[bounds[index]]))
         self._last = rows.state[-1]
 
     def result(self) -> FrozenState | None:
@@ -144,12 +142,14 @@ class FrozenMeter:
             self._repeat_ns = self._repeat_ns or int(rows.times[repeated[0]])
             self._repeats += len(repeated)
 
-    def _add(self, run: _Run, *, goes_on: bool) -> None:
-        if goes_on and self._run is not None:
-            self._run = self._run.joined(run)
-        else:
+    def _add(self, rows: StepRows, begin: int, end: int, *, goes_on: bool) -> None:
+        run = self._run
+        if not goes_on or run is None:
             self._close()
-            self._run = run
+            first_ns, first_write, none = int(rows.times[begin]), int(rows.writes[begin]), rows.asked[begin]
+            run = _Run(first_ns, first_ns, first_write, first_write, float(rows.speed[begin]), none, none)
+        within = slice(begin, end + 1)
+        self._run = run.joined(int(rows.times[end]), rows.asked[within], rows.writes[within])
 
     def _close(self) -> None:
         run, self._run = self._run, None

@@ -98,6 +98,7 @@ class MotionMeter:
         self, robot: str, state_key: str, command_key: str, description: RobotDescription | None = None
     ) -> None:
         self.robot, self._state_key, self._command_key = robot, state_key, command_key
+        self._is_carried = description is not None and description.is_carried
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
         self._sides = {state_key: self._add_state, command_key: self._add_command}
@@ -135,6 +136,7 @@ class MotionMeter:
             worst_jerk_joint=worst,
             command_jerk_p99_rad_s3=command_p99,
             command_worst_jerk_joint=command_worst,
+            is_carried=self._is_carried,
             limits_from=self._ends.said_by,
             limit_hits=self._ends.hits,
             limit_share=max(self._ends.shares().values(), default=0.0),

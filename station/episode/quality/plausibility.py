@@ -82,6 +82,7 @@ class PlausibilityMeter:
         self._derivatives = self._derivative_meter(is_lock_step=is_lock_step)
         self._joints, self._columns = _shared(self._state, self._used)
         self._speeds = _columns(self._state, _VELOCITY, "rad/s")
+        self._is_carried = description is not None and description.is_carried
         self._frozen = FrozenMeter(self._start_ns)
         self._stuck = StuckMeter(self._start_ns, self._joints, ends_of(description, self._joints))
         self._order = JointOrderMeter(self._joints)
@@ -194,12 +195,13 @@ class PlausibilityMeter:
         with np.errstate(all="ignore"):  # a damaged recording holds any number
             speeds = np.nan_to_num(np.abs(states[:, self._speeds]).max(axis=1, initial=0.0))
         moving = np.array([moves for *_, moves, _ in whole], dtype=np.bool_)
+        judged = np.full_like(asked, np.nan) if self._is_carried else asked  # what a hand holds stops its joints
         rows = StepRows(
             times=np.array([timed.at_ns for timed, *_ in whole], dtype=np.int64),
             writes=np.array([count for _, count, *_ in whole], dtype=np.int64),
             state=states,
             q=q,
-            asked=asked,
+            asked=judged,
             speed=np.where(moving, speeds, 0.0),
         )
         with np.errstate(all="ignore"):

@@ -54,7 +54,7 @@ def _misaligned(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
 def _idle_ends(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.motion:
         for where, idle_s in (("the first", robot.idle_head_s), ("the last", robot.idle_tail_s)):
-            if idle_s > limits.idle_ends.above_s:
+            if idle_s > limits.idle_ends.above_s and not robot.is_carried:
                 yield "usable", f"{robot.robot}: nothing moves in {where} {idle_s:.1f} s"
 
 
@@ -76,7 +76,7 @@ def _jerky_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, 
 
 def _joint_limits(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.motion:
-        if robot.limit_share > limits.joint_limits.above_share:
+        if robot.limit_share > limits.joint_limits.above_share and not robot.is_carried:
             joint = next(iter(robot.limit_joints))
             yield "usable", f"{robot.robot}: {joint} at its end for {robot.limit_share:.0%} of the time"
 

@@ -115,7 +115,9 @@ def _stated(reader: EpisodeReader, robot: str) -> tuple[JointCommand, GateConfig
         joints = description.joint_names if description is not None else ()
         if len(joints) != count:
             raise ValueError(f"it has limits of {count} joints, and its description names {len(joints)}")
-        return JointCommand.within("audit", robot, joints, **arrays), msgspec.convert(facts.get("gate"), GateConfig)
+        lower, upper, margin, rate = (arrays[name] for name in names)
+        command = JointCommand.within("audit", robot, joints, lower=lower, upper=upper, margin=margin, rate=rate)
+        return command, msgspec.convert(facts.get("gate"), GateConfig)
     except (KeyError, TypeError, ValueError, msgspec.ValidationError, ConfigError) as error:
         raise EpisodeError(
             f"episode {reader.episode_id}: its manifest does not say how commands of {robot} were limited ({error}); "

@@ -9,6 +9,7 @@ import msgspec
 from station.bus import codec, contracts, keys
 from station.bus import stamp as stamps
 from station.bus.contracts import Contracts
+from station.description import stated as described_in
 from station.episode.storage.bounds import Cut, cut
 from station.episode.storage.manifest import Manifest, Policy, Robot
 
@@ -124,9 +125,14 @@ class ServersSeen:
         manifest.operator.interface = manifest.operator.interface or self._commanders()
 
     def _low_level(self) -> dict[str, dict[str, Any]]:
-        """Return what low-level servers stated, those first that are alive."""
+        """Return what low-level servers stated: those first that are alive, and hands behind what has them."""
         found = {n: c.facts for n, c in self._configurations.items() if c.facts.get("role") == "low-level"}
-        return dict(sorted(found.items(), key=lambda item: (not self._is_current(item[0]), item[0])))
+
+        def rank(item: tuple[str, dict[str, Any]]) -> tuple[bool, bool, str]:
+            described = described_in(item[1])
+            return not self._is_current(item[0]), described is not None and described.is_carried, item[0]
+
+        return dict(sorted(found.items(), key=rank))
 
     def _commanders(self) -> str:
         """Return the names of the live command servers, joined by ``+``; "" when only scripts command."""

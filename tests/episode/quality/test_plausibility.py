@@ -558,6 +558,33 @@ def test_wheels_may_turn_for_ever_and_what_has_no_end_is_not_in_degrees(tmp_path
     assert told(check(open_episode(builder.finish({"servers": {"walker": facts}})))) == {}
 
 
+@pytest.mark.parametrize(("late", "verdict"), [(2, None), (8, "reject")])
+def test_a_state_that_repeats_until_a_command_reaches_the_joints_is_believed(
+    tmp_path: Path, late: int, verdict: str | None
+) -> None:
+    steps = [0.0] * 100 + [0.3] * 40
+    assert _stepped(tmp_path, steps, [steps[max(0, number - late)] for number in range(len(steps))]) == verdict
+
+
+@pytest.mark.parametrize(("is_carried", "verdict"), [(True, None), (False, "reject")])
+def test_a_hand_that_holds_a_thing_is_not_frozen(tmp_path: Path, is_carried: bool, verdict: str | None) -> None:
+    asked = np.linspace(0.0, 1.2, 120).tolist()
+    assert _stepped(tmp_path, asked, [min(q, 0.2) for q in asked], is_carried=is_carried) == verdict
+
+
+def _stepped(folder: Path, asked: list[float], is_at: list[float], **changes: object) -> str | None:
+    """Return the verdict on frozen states of a robot whose joints are exactly where they are told to be."""
+    described = msgspec.structs.replace(strider.DESCRIPTION, **changes)
+    builder = EpisodeBuilder(folder)
+    builder.contracts |= {item.key: item for item in described.contracts()}
+    for number, (wanted, q) in enumerate(zip(asked, is_at, strict=True)):
+        state = strider.state(np.full(2, q), dq=np.zeros(2))
+        builder.write({keys.robot_state(strider.NAME): state}, at_s=0.02 * number, writer="walker")
+        builder.write(strider.step(number, np.full(2, wanted)), at_s=0.02 * number + 0.004, writer="walker")
+    facts = strider.facts(description=msgspec.to_builtins(described))
+    return verdicts(check(open_episode(builder.finish({"servers": {"walker": facts}})))).get("frozen-state")
+
+
 def test_a_robot_that_is_asked_for_nothing_is_not_frozen(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
     for number in range(200):
