@@ -18,7 +18,8 @@ def _motions() -> Sequence[str]:
 
 def _files() -> dict[str, Path]:
     robots = _ADAPTERS / "robots"
-    found = [*robots.glob("*/*.xml"), *robots.glob("*/*.stand.yaml"), *(_ADAPTERS / "policies").glob("*/*.onnx")]
+    of_robots = [path for name in ("*.xml", "*.stand.yaml", "*.hand.yaml") for path in robots.glob(f"*/{name}")]
+    found = [*of_robots, *(_ADAPTERS / "policies").glob("*/*.onnx")]
     scripts = (_ADAPTERS / "devices/fakes").glob("*/*.json")
     return {path.name: path for path in sorted(found)} | {
         f"{path.parent.name}/{path.name}": path for path in sorted(scripts)

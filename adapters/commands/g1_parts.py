@@ -51,8 +51,15 @@ def arm(side: Side, robot: str) -> JointCommand:
     )  # fmt: skip
 
 
-def hand(side: Side, robot: str) -> HandCommand:
-    """Return the command of a Dex3-1 hand of a robot; the right one's joints turn the other way."""
+def hand(side: Side, robot: str, *, name: str = "", stock_key: str = "") -> HandCommand:
+    """Return the command of a Dex3-1 hand of a robot; the right one's joints turn the other way.
+
+    Args:
+        side: Which.
+        robot: The robot's.
+        name: Registered name; "" for ``g1-SIDE-hand``.
+        stock_key: Bus key that stock programs write it on; "" for the station's own.
+    """
     names = HAND[side]
     short = [name.removeprefix(f"{side}_hand_") for name in names]
     closed = np.array([_CLOSED_RAD[name] for name in short]) * (1.0 if side == "left" else -1.0) + 0.0  # no minus zero
@@ -60,12 +67,12 @@ def hand(side: Side, robot: str) -> HandCommand:
     for array in (opened, closed):
         array.flags.writeable = False
     bare = JointCommand.within(
-        f"g1-{side}-hand", f"{robot}_{side}_hand", names, lower=g1.lower(names), upper=g1.upper(names),
-        margin=np.full(len(names), _BEYOND_RAD), rate=g1.velocity(names),
+        name or f"g1-{side}-hand", f"{robot}_{side}_hand", names, lower=g1.lower(names), upper=g1.upper(names),
+        margin=np.full(len(names), _BEYOND_RAD), rate=g1.velocity(names), stock_key=stock_key,
     )  # fmt: skip
     return HandCommand(
         **{field.name: getattr(bare, field.name) for field in fields(bare)},
-        side=side, fingers=tuple(_BENT_BY.get(name, name) for name in short), opened=opened, closed=closed,
+        side=side, fingers=tuple(_BENT_BY.get(each, each) for each in short), opened=opened, closed=closed,
     )  # fmt: skip
 
 

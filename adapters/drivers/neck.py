@@ -7,11 +7,11 @@ looking, whatever it is tilted by; of a head that is not tilted they are the sam
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
+from adapters.commands.hands import LIMIT_RAD, RATE_RAD_S
 from adapters.robots.g1 import twist_keys
 from station import rotations
 from station.protocols import Floats
@@ -19,15 +19,11 @@ from station.protocols import Floats
 SCALE = 1.5
 """How far the neck turns for each radian of the head, in stock TWIST2."""
 
-LIMIT_RAD = math.pi / 2
-"""Neither joint is asked to go farther to either side; stock asks for anything."""
-
-RATE_RAD_S = 3.0
-"""Nor faster: a neck that is taken up elsewhere comes gently to where the operator looks."""
-
 
 class Neck:
     """Two joints that follow a head, and stay where they were when it does not lead.
+
+    A neck that is taken up elsewhere comes gently to where the operator looks.
 
     Args:
         scale: How far they turn for each radian of the head.

@@ -37,6 +37,7 @@ class MotorBus(ABC):
         port: Its name, best one of ``/dev/serial/by-id``.
         baud: Its rate [bit/s].
         clock: Of the process; the library's time-outs are by it.
+        device, setting: For errors: what has the servos, as a person says it, and the setting that names its port.
 
     Attributes:
         servos: The maker.
@@ -59,9 +60,11 @@ class MotorBus(ABC):
     _position: ClassVar[tuple[int, int]]
     """Address of the present position, and its bytes."""
 
-    def __init__(self, port: str, baud: int, clock: Clock = SYSTEM) -> None:
-        self.port, self.baud, self.clock = port, baud, clock
-        self._sdk = _imported(self._module, self.library)
+    def __init__(
+        self, port: str, baud: int, clock: Clock = SYSTEM, *, device: str = "leader", setting: str = "ports"
+    ) -> None:
+        self.port, self.baud, self.clock, self._device, self._setting = port, baud, clock, device, setting
+        self._sdk = _imported(self._module, self.library, device)
         self._handler = self._open(port, baud)
         self._packets = self._sdk.PacketHandler(self._protocol)
         self._reader: Any = None
@@ -127,7 +130,7 @@ class MotorBus(ABC):
             return call(*arguments)
         except (OSError, termios.error, TypeError, ValueError) as error:  # pyserial's own errors are OSErrors
             self._handler.is_using = False
-            raise PortGone(why_gone(self.port, error, device="leader")) from None
+            raise PortGone(why_gone(self.port, error, device=self._device)) from None
 
     def _open(self, port: str, baud: int) -> Any:
         handler = _patient(self._sdk, self.clock)(port)
@@ -136,7 +139,7 @@ class MotorBus(ABC):
             if is_open:
                 handler.ser.exclusive = True  # two that read one port would tear each other's packets
         except OSError as error:
-            raise DeviceError(why_not_open(port, error, device="leader", setting="ports")) from None
+            raise DeviceError(why_not_open(port, error, device=self._device, setting=self._setting)) from None
         except ValueError as error:  # pyserial's, at rates that the system has no constant for
             raise NoSuchRate(f"{port}: its adapter cannot do {baud} baud ({error}); name another rate") from None
         if not is_open:
@@ -165,6 +168,26 @@ class DynamixelBus(MotorBus):
         """
         found, _ = self._guarded(self._packets.broadcastPing, self._handler)
         return {id_: facts[0] for id_, facts in sorted(found.items())}
+
+    def write(self, id_: int, address: int, value: int) -> bool:
+        """Set a byte of a servo; return whether it said that it did.
+
+        Raises:
+            PortGone: the port was torn out.
+        """
+        result, error = self._guarded(self._packets.write1ByteTxRx, self._handler, id_, address, value)
+        return bool(result == self._sdk.COMM_SUCCESS and not error)
+
+    def write_together(self, address: int, values: Mapping[int, int]) -> None:
+        """Set four bytes of several servos at once, by id; no servo answers.
+
+        Raises:
+            PortGone: the port was torn out.
+        """
+        writer = self._sdk.GroupSyncWrite(self._handler, self._packets, address, 4)
+        for id_, value in values.items():
+            writer.addParam(id_, value.to_bytes(4, "little", signed=True))
+        self._guarded(writer.txPacket)
 
     def _model_of(self, id_: int) -> int | None:
         model, result, _ = self._guarded(self._packets.ping, self._handler, id_)
@@ -195,8 +218,10 @@ class FeetechBus(MotorBus):
     _TURN = 4096
     _IDS = range(1, 21)
 
-    def __init__(self, port: str, baud: int, clock: Clock = SYSTEM) -> None:
-        super().__init__(port, baud, clock)
+    def __init__(
+        self, port: str, baud: int, clock: Clock = SYSTEM, *, device: str = "leader", setting: str = "ports"
+    ) -> None:
+        super().__init__(port, baud, clock, device=device, setting=setting)
         self._last: dict[int, int] = {}
 
     def scan(self) -> dict[int, int]:
@@ -231,12 +256,12 @@ def model_name(number: int) -> str:
     return names.get(number, f"model {number}")
 
 
-def _imported(module: str, package: str) -> Any:
+def _imported(module: str, package: str, device: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
         raise DeviceError(
-            f"a GELLO needs {package}, which is not installed; pip install 'teleop-station[gello]'"
+            f"a {device} needs {package}, which is not installed; pip install 'teleop-station[gello]'"
         ) from None
 
 

@@ -17,8 +17,14 @@ from station.protocols import Floats32, RobotState
 from station.rotations import roll_pitch_yaw
 
 _HAND = codec.json_vector([0.0] * 7)
-_BOTH_HANDS = codec.json_vector([0.0] * 14)
-_NECK = codec.json_vector([0.0] * 2)
+_NO_HANDS = {
+    twist_keys.TWIST2_ROBOT: {
+        twist_keys.state_hand("left"): _HAND,
+        twist_keys.state_hand("right"): _HAND,
+        twist_keys.state_neck(): codec.json_vector([0.0] * 2),
+    },
+    twist_keys.TWIST_ROBOT: {twist_keys.state_hands(): codec.json_vector([0.0] * 14)},
+}
 
 
 @runtime_checkable
@@ -31,29 +37,23 @@ class Proprioceptive(Protocol):
 
 
 def stock_values(state: RobotState, policy: object, name: str) -> Mapping[str, bytes]:
-    """Return the values by key.
+    """Return the values of a robot without hands by key: open, and still, as the stock simulation says.
 
     Args:
         state: Of the 29 joints.
         policy: For TWIST, the policy in use.
         name: Suffix of the robot's keys; decides which stock keys there are.
     """
+    body = body_values(state, policy, name)
+    return {**body, **_NO_HANDS[name]} if body else {}
+
+
+def body_values(state: RobotState, policy: object, name: str) -> Mapping[str, bytes]:
+    """Return those of the body alone: of a real robot the servers of its hands and its neck tell of those."""
     if name == twist_keys.TWIST2_ROBOT:
-        return _twist2(name, state)
+        body = np.concatenate([state.gyro, roll_pitch_yaw(state.quat_wxyz)[:2], state.q])
+        now_ms = time.time_ns() // 1_000_000
+        return {twist_keys.state_body(name): codec.json_vector(body), twist_keys.T_STATE: b"%d" % now_ms}
     if name == twist_keys.TWIST_ROBOT and isinstance(policy, Proprioceptive):
-        return {
-            twist_keys.state_body(name): codec.json_vector(policy.proprioception(state)),
-            twist_keys.state_hands(name): _BOTH_HANDS,
-        }
+        return {twist_keys.state_body(name): codec.json_vector(policy.proprioception(state))}
     return {}
-
-
-def _twist2(suffix: str, state: RobotState) -> dict[str, bytes]:
-    body = np.concatenate([state.gyro, roll_pitch_yaw(state.quat_wxyz)[:2], state.q])
-    return {
-        twist_keys.state_body(suffix): codec.json_vector(body),
-        twist_keys.state_hand("left", suffix): _HAND,  # no hands in this model: open, as the stock simulation says
-        twist_keys.state_hand("right", suffix): _HAND,
-        twist_keys.state_neck(suffix): _NECK,
-        twist_keys.T_STATE: b"%d" % (time.time_ns() // 1_000_000),
-    }

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adapters.commands.hands import LIMIT_RAD, RATE_RAD_S
 from adapters.drivers.body import BodyDriver
 from adapters.drivers.hands import HandsDriver, HandsOptions
-from adapters.drivers.neck import LIMIT_RAD, RATE_RAD_S, SCALE, Neck
+from adapters.drivers.neck import SCALE, Neck
 from adapters.robots.g1 import twist_keys
 from station import rotations
 from station.bus.joints import SMPL_24

@@ -12,6 +12,7 @@ from adapters.robots.g1.dds import guard_client, messages, topics, types
 from adapters.robots.g1.dds.guard_client import GuardClient, Reason, State
 from adapters.robots.g1.dds.health_monitor import JOINTS
 from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.other_writers import OtherWriters
 from station.bus import codec
 from station.clock import Clock
 from station.errors import StationError
@@ -20,8 +21,6 @@ from station.protocols import Floats
 DAMPING_KD = 8.0
 """Of every joint of a robot that is damped [N m s/rad]: what others that drive a G1 use, and the guard too."""
 
-_LOOKS_EVERY = 10  # periods
-_LOOKS_WELL_EVERY = 250  # periods; to look through all that was discovered takes 3 ms, and finds writers of odd types
 _TELLS_EVERY = 5  # periods
 _GUARD_SILENT_S = 0.3  # it speaks 50 times a second
 _CLOSING_S = 0.3
@@ -77,23 +76,16 @@ class DirectSender:
     guard = "none"
 
     def __init__(self, network: Network, period_s: float, clock: Clock) -> None:
-        self._network, self._period_s, self._clock = network, period_s, clock
+        self._period_s, self._clock = period_s, clock
         self._writer = network.writer(topics.LOW_CMD, raw(types.LowCmd))
         self._command = messages.new_command()
         messages.set_modes(self._command, np.ones(JOINTS, np.uint8))
         self._has_sent = False
-        self._own = network.reader(topics.LOW_CMD, types.LowCmd, depth=1)  # is matched with every writer at once
-        self._known = -1
-        self._polls, self._other = 0, ""
+        self._others = OtherWriters(network, topics.LOW_CMD, types.LowCmd)
 
     def poll(self) -> None:
-        """Check for other writers, ten periods apart."""
-        is_time = self._polls % _LOOKS_EVERY == 0
-        self._polls += 1
-        if is_time and (self._own.writers() != self._known or self._polls % _LOOKS_WELL_EVERY == 1):
-            self._known = self._own.writers()
-            others = self._network.writers_of(topics.LOW_CMD)
-            self._other = str(others[0]) if others else ""
+        """Check for other writers."""
+        self._others.poll()
 
     def why_not_arm(self) -> str:
         """Return that another program has the motors, or ""."""
@@ -101,7 +93,7 @@ class DirectSender:
 
     def why_not_drive(self) -> str:
         """Return that another program has the motors, or ""."""
-        return f"another program writes {topics.LOW_CMD}: {self._other}" if self._other else ""
+        return self._others.why_not()
 
     def open(self) -> bool:
         """Return True: whatever is written reaches the motors."""

@@ -4,7 +4,8 @@ Octets are ``types.byte``. With ``types.uint8``, as in Unitree's own Python pack
 Cyclone 0.10 does not know, and a robot's or a stock program's participant dies of it. Names, order and widths decide
 the hash by which two programs know that they speak of the same type (`tests/adapters/robots/g1/dds`).
 
-Source: ``idl/unitree_hg``, ``unitree_go`` and ``unitree_api`` of unitreerobotics/unitree_sdk2_python.
+Source: ``idl/unitree_hg``, ``unitree_go`` and ``unitree_api`` of unitreerobotics/unitree_sdk2_python; of Inspire's
+RH56DFTP, ``inspire_sdkpy`` of NaCl-1374/inspire_hand_ws.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ _f32, _f64, _array, _sequence = types.float32, types.float64, types.array, types
 
 
 def _struct(package: str, name: str, **fields: Any) -> type[IdlStruct]:
-    made: type[IdlStruct] = make_idl_struct(name, f"{package}.dds_.{name}", fields)
+    made: type[IdlStruct] = make_idl_struct(name, f"{package}.{name}", fields)
     return made
 
 
-_HG = "unitree_hg.msg"
+_HG = "unitree_hg.msg.dds_"
 
 MotorCmd = _struct(
     _HG, "MotorCmd_", mode=_octet, q=_f32, dq=_f32, tau=_f32, kp=_f32, kd=_f32, reserve=_u32
@@ -59,9 +60,30 @@ HandState = _struct(
     reserve=_array[_u32, 2],
 )  # fmt: skip
 
-WirelessController = _struct("unitree_go.msg", "WirelessController_", lx=_f32, ly=_f32, rx=_f32, ry=_f32, keys=_u16)
+_GO = "unitree_go.msg.dds_"
 
-_API = "unitree_api.msg"
+WirelessController = _struct(_GO, "WirelessController_", lx=_f32, ly=_f32, rx=_f32, ry=_f32, keys=_u16)
+GoMotorCmd = _struct(
+    _GO, "MotorCmd_", mode=_octet, q=_f32, dq=_f32, tau=_f32, kp=_f32, kd=_f32, reserve=_array[_u32, 3]
+)
+GoMotorState = _struct(
+    _GO, "MotorState_", mode=_octet, q=_f32, dq=_f32, ddq=_f32, tau_est=_f32, q_raw=_f32, dq_raw=_f32, ddq_raw=_f32,
+    temperature=_octet, lost=_u32, reserve=_array[_u32, 2],
+)  # fmt: skip
+MotorCmds = _struct(_GO, "MotorCmds_", cmds=_sequence[GoMotorCmd])
+MotorStates = _struct(_GO, "MotorStates_", states=_sequence[GoMotorState])
+
+_six_i16, _six_octets = _sequence[_i16, 6], _sequence[_octet, 6]
+InspireCtrl = _struct(
+    "inspire", "inspire_hand_ctrl", pos_set=_six_i16, angle_set=_six_i16, force_set=_six_i16, speed_set=_six_i16,
+    mode=types.char,  # an int8 on the wire, which Cyclone 0.10 announces as a char
+)  # fmt: skip
+InspireState = _struct(
+    "inspire", "inspire_hand_state", pos_act=_six_i16, angle_act=_six_i16, force_act=_six_i16, current=_six_i16,
+    err=_six_octets, status=_six_octets, temperature=_six_octets,
+)  # fmt: skip
+
+_API = "unitree_api.msg.dds_"
 
 RequestIdentity = _struct(_API, "RequestIdentity_", id=_i64, api_id=_i64)
 RequestLease = _struct(_API, "RequestLease_", id=_i64)

@@ -7,9 +7,15 @@ from typing import Annotated, Literal
 import msgspec
 
 from adapters.robots.g1.dds.buttons import BUTTONS
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.g1.joints import G1_29, hand
+from adapters.robots.hands import inspire
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Side = Literal["left", "right"]
+
+_HAND_JOINTS = tuple(dict.fromkeys(
+    name for side in ("left", "right") for name in (*hand(side), *(joint.name for joint in inspire.JOINTS[side]))
+))  # fmt: skip
 
 
 class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,6 +48,9 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         motor_error: Bits of ``motorstate``, by joint.
         soc: Charge of the battery [%].
         voltage: Of the motors [V].
+        hand_silent: Hands, ``left`` and ``right``, that say nothing.
+        hand_error: Bits of the error of a hand's motor, by joint.
+        holds: By hand, the part of closing, 0 to 1, at which something that it holds stops its fingers.
         push_m_s: Velocity that the pelvis is given at once, x and y in the world [m/s]; each change pushes once.
     """
 
@@ -71,6 +80,9 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     motor_error: dict[str, int] = {}
     soc: float = 90.0
     voltage: float = 54.0
+    hand_silent: tuple[Side, ...] = ()
+    hand_error: dict[str, int] = {}
+    holds: dict[Side, Share] = {}
     push_m_s: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -78,6 +90,7 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             ("remote", self.remote, BUTTONS),
             ("winding_c", self.winding_c, G1_29),
             ("motor_error", self.motor_error, G1_29),
+            ("hand_error", self.hand_error, _HAND_JOINTS),
         ):
             if odd := [name for name in given if name not in known]:
                 raise ValueError(f"{field}: {odd[0]!r} is none of {', '.join(known)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.hands.options import Fingers
 from adapters.robots.legged.unitree import G1
 
 
@@ -16,10 +17,16 @@ class G1TwinOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fi
         mode_machine: What kind of G1 it says that it is: 5 with 29 joints, 6 with 29 of which the waist's roll and
             pitch are locked.
         is_released: Whether its own controller has let go of the motors already; as it boots, it has not.
+        hands: What it has for hands: ``none``, ``dex3``, ``inspire-dfx`` or ``inspire-dftp``.
+        hand_motors: Order of the motors of a Dex3-1, as in the settings of its robot.
+        neck: Folder in which the serial port of a neck's servos appears; "" for none.
         seed: Of offsets, noise and losses.
     """
 
     model: str = G1.mjcf
     mode_machine: Literal[5, 6] = 5
     is_released: bool = False
+    hands: Literal["none", "dex3", "inspire-dfx", "inspire-dftp"] = "none"
+    hand_motors: Fingers = "as-twist2"
+    neck: str = ""
     seed: int = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from collections import Counter, deque
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ from adapters.robots.g1.dds import messages, topics, types
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.options import NetworkOptions
 from adapters.robots.g1.joints import G1_29
+from adapters.robots.g1.twin import hands
 from adapters.robots.g1.twin.body import JOINTS, STEP_S, TwinBody
 from adapters.robots.g1.twin.faults import G1Faults
 from adapters.robots.g1.twin.firmware import TIMED_OUT, Firmware
+from adapters.robots.g1.twin.neck import TwinNeck
 from adapters.robots.g1.twin.options import G1TwinOptions
 from station import assets
 
@@ -53,6 +56,8 @@ class G1Twin:
         self._commands = network.reader(topics.LOW_CMD, types.LowCmd, depth=64)
         self._requests = network.reader(topics.SWITCHER_REQUEST, types.Request, depth=16)
         self._answers = network.writer(topics.SWITCHER_RESPONSE, types.Response)
+        self.hands = hands.hands(network, options.hands, options.hand_motors)
+        self.neck = TwinNeck(Path(options.neck)) if options.neck else None
         self._record = messages.new_state()
         self._record["mode_machine"] = options.mode_machine
         self._record["version"] = (1, 0)
@@ -87,6 +92,12 @@ class G1Twin:
         if not self._faults.tick_frozen:
             self._tick_ms = round(self.now_s * 1000.0)
         self._say()
+        for hand in self.hands.values():
+            hand.tick(
+                self.now_s, self.period_s, self._faults,
+                is_heard=self._faults.link == "up",
+                says=self._faults.link == "up" and self._ticks % hands.TICKS_PER_STATE == 0,
+            )  # fmt: skip
         if self._ticks % _LOW_RATE == 0:
             self._answer()
             self._say_slowly()
@@ -99,10 +110,14 @@ class G1Twin:
             "accepted": firmware.accepted, "refused": dict(firmware.refused), "states": dict(self._sent),
             "controller": firmware.controller, "damped_by_remote": firmware.is_damped, "falls": self.body.falls,
             "pelvis_m": round(self.body.height_m, 4), "tilt_rad": round(self.body.tilt_rad, 4),
+            **{name: hand.health() for name, hand in self.hands.items()},
+            **({"neck": self.neck.health()} if self.neck is not None else {}),
         }  # fmt: skip
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network, and take the neck's port away."""
+        if self.neck is not None:
+            self.neck.close()
         self._network.close()
 
     def _hear(self) -> None:
