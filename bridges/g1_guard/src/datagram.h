@@ -50,7 +50,7 @@ enum reason {
     REASON_LATE,            // the guard itself stood still for 100 ms
     REASON_ENDING,          // the guard was told to end
     REASON_RESTARTED,       // the guard before this one ended while armed
-    REASON_MACHINE,         // mode_machine is not that of a G1 with 29 motors
+    REASON_MACHINE,         // mode_machine is not that of a G1
     REASON_BUSY,            // it is armed, or the stiffness falls
     REASON_CHALLENGE,       // wrong number, or later than a second
     REASON_STARTING,        // it runs for less than a second: who else writes is not known yet

@@ -27,8 +27,9 @@
 #define STOP_FRAMES 2
 #define FAR_OUTSIDE_RAD 3.0f  // policies command past a limit on purpose; this far is degrees, or garbage
 
-#define WAIST_ROLL 13
-#define WAIST_PITCH 14
+#define MOTOR(i) (1u << (i))
+#define WAIST (MOTOR(13) | MOTOR(14))                               // roll and pitch
+#define WRISTS (MOTOR(20) | MOTOR(21) | MOTOR(27) | MOTOR(28))      // pitch and yaw
 
 static bool is_live(const struct guard *guard) {
     return guard->state == STATE_ARMED || guard->state == STATE_FROZEN;
@@ -75,11 +76,18 @@ static float square(const float quat[4]) {
     return quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3];
 }
 
+// A robot with a locked waist lacks two of the motors, one with 23 joints six.
+static uint32_t absent_motors(uint8_t mode_machine) {
+    if (mode_machine == 3 || mode_machine == 6) return WAIST;
+    return mode_machine == 1 || mode_machine == 4 ? WAIST | WRISTS : 0;
+}
+
 static bool is_number(const struct robot_state *state) {
+    const uint32_t absent = absent_motors(state->mode_machine);
     const float length = square(state->quat_wxyz);
     if (!(length > 0.5f && length < 2.0f)) return false;  // zeros come from SDKs that have heard nothing yet
     for (int i = 0; i < MOTORS; ++i)
-        if (!isfinite(state->q[i])) return false;
+        if (!(absent & MOTOR(i)) && !isfinite(state->q[i])) return false;
     return true;
 }
 
@@ -104,7 +112,9 @@ void guard_on_state(struct guard *guard, int64_t now_ns, const struct robot_stat
 void guard_on_foreign(struct guard *guard, const struct foreign_writer *foreign) { guard->foreign = *foreign; }
 
 static enum reason heat_or_error(const struct robot_state *robot) {
+    const uint32_t absent = absent_motors(robot->mode_machine);
     for (int i = 0; i < MOTORS; ++i) {
+        if (absent & MOTOR(i)) continue;
         if (robot->temperature[i][1] >= WINDING_C) return REASON_WINDING;
         if (robot->temperature[i][0] >= CASING_C) return REASON_CASING;
         if (i < LEG_MOTORS && robot->error[i] != 0) return REASON_MOTOR_ERROR;
@@ -129,11 +139,7 @@ static enum reason fault(const struct guard *guard, int64_t now_ns) {
 
 // ---- arming ----
 
-static bool has_29_motors(uint8_t mode_machine) {
-    return mode_machine == 2 || mode_machine == 3 || mode_machine == 5 || mode_machine == 6;
-}
-
-static bool is_waist_locked(uint8_t mode_machine) { return mode_machine == 3 || mode_machine == 6; }
+static bool is_g1(uint8_t mode_machine) { return mode_machine >= 1 && mode_machine <= 6; }
 
 static enum reason why_not_arm(const struct guard *guard, int64_t now_ns) {
     if (guard->end_ns != 0) return REASON_ENDING;
@@ -141,7 +147,7 @@ static enum reason why_not_arm(const struct guard *guard, int64_t now_ns) {
     if (now_ns - guard->begin_ns < DISCOVERY_NS) return REASON_STARTING;
     const enum reason found = fault(guard, now_ns);
     if (found != REASON_NONE) return found;
-    return has_29_motors(guard->robot.mode_machine) ? REASON_NONE : REASON_MACHINE;
+    return is_g1(guard->robot.mode_machine) ? REASON_NONE : REASON_MACHINE;
 }
 
 // The first target is the measured pose without stiffness: nothing moves until a command says so.
@@ -308,8 +314,9 @@ static void fill(const struct guard *guard, struct motor_command *out) {
     out->mode_machine = guard->robot.mode_machine;
     out->targets = guard->sent;
     memset(out->mode, 1, sizeof out->mode);
-    if (!is_waist_locked(out->mode_machine)) return;
-    for (int i = WAIST_ROLL; i <= WAIST_PITCH; ++i) {  // there is no such motor then
+    const uint32_t absent = absent_motors(out->mode_machine);
+    for (int i = 0; i < MOTORS; ++i) {
+        if (!(absent & MOTOR(i))) continue;
         out->mode[i] = 0;
         out->targets.q[i] = out->targets.kp[i] = out->targets.kd[i] = 0;
     }

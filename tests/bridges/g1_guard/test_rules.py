@@ -204,9 +204,9 @@ def test_another_writer_is_named(rules):
     assert rules.status.foreign == ""
 
 
-@pytest.mark.parametrize(("mode_machine", "is_armed"), [(0, False), (1, False), (2, True), (3, True), (4, False),
-                                                        (5, True), (6, True), (9, False)])  # fmt: skip
-def test_only_a_robot_with_29_motors_is_armed(rules, mode_machine, is_armed):
+@pytest.mark.parametrize(("mode_machine", "is_armed"), [(0, False), (1, True), (2, True), (3, True), (4, True),
+                                                        (5, True), (6, True), (7, False), (9, False)])  # fmt: skip
+def test_only_a_g1_is_armed(rules, mode_machine, is_armed):
     rules.robot["mode_machine"] = mode_machine
     rules.run(20)
     said = rules.arm()
@@ -239,13 +239,19 @@ def test_who_is_armed_keeps_it(rules):
     assert rules.status.state is State.ARMED
 
 
-def test_a_locked_waist_has_no_motors(rules):
-    rules.robot["mode_machine"] = 6
+@pytest.mark.parametrize(("mode_machine", "absent"), [(3, [13, 14]), (6, [13, 14]), (1, [13, 14, 20, 21, 27, 28]),
+                                                      (4, [13, 14, 20, 21, 27, 28])])  # fmt: skip
+def test_motors_that_a_robot_does_not_have_stay_disabled_and_their_numbers_say_nothing(rules, mode_machine, absent):
+    rules.robot["mode_machine"] = mode_machine
+    rules.robot["temperature"][0, absent] = 200
     rules.driven()
     command = rules.sent[-1].command
-    assert [i for i in range(MOTORS) if not command["mode"][i]] == [13, 14]
-    assert not command["kp"][13:15].any()
-    assert (command["kp"][12], command["mode_machine"]) == (40, 6)
+    assert [i for i in range(MOTORS) if not command["mode"][i]] == absent
+    assert not command["kp"][absent].any()
+    assert (command["kp"][12], command["mode_machine"]) == (40, mode_machine)
+    rules.robot["temperature"][0, 12] = 200
+    rules.run(10, rules.command)
+    assert rules.status.reason is Reason.WINDING
 
 
 # ---- commands ----

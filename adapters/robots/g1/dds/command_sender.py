@@ -12,6 +12,7 @@ from adapters.robots.g1.dds import guard_client, messages, topics, types
 from adapters.robots.g1.dds.guard_client import GuardClient, Reason, State
 from adapters.robots.g1.dds.health_monitor import JOINTS
 from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.options import ABSENT
 from adapters.robots.g1.dds.other_writers import OtherWriters
 from station.bus import codec
 from station.clock import Clock
@@ -79,7 +80,7 @@ class DirectSender:
         self._period_s, self._clock = period_s, clock
         self._writer = network.writer(topics.LOW_CMD, raw(types.LowCmd))
         self._command = messages.new_command()
-        messages.set_modes(self._command, np.ones(JOINTS, np.uint8))
+        self._machine = -1
         self._has_sent = False
         self._others = OtherWriters(network, topics.LOW_CMD, types.LowCmd)
 
@@ -101,7 +102,12 @@ class DirectSender:
 
     def send(self, state: NDArray[Any], q: Floats, kp: Floats, kd: Floats) -> None:
         """Write a command."""
-        self._command["mode_machine"] = state["mode_machine"]
+        if state["mode_machine"] != self._machine:
+            self._machine = int(state["mode_machine"])
+            modes = np.ones(JOINTS, np.uint8)
+            modes[list(ABSENT.get(self._machine, ()))] = 0
+            messages.set_modes(self._command, modes)
+            self._command["mode_machine"] = self._machine
         motors = self._command["motors"][0, :JOINTS]
         motors["q"], motors["kp"], motors["kd"] = q, kp, kd
         self._writer.write(messages.signed(self._command))

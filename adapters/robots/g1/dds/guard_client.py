@@ -103,7 +103,7 @@ WORDS = {
     Reason.LATE: "the guard itself stood still for 100 ms: is it allowed real-time priority?",
     Reason.ENDING: "the guard is ending",
     Reason.RESTARTED: "the guard before this one ended while it was armed",
-    Reason.MACHINE: "the robot's mode_machine is not that of a G1 with 29 motors (2, 3, 5, 6)",
+    Reason.MACHINE: "the robot's mode_machine is not that of a G1 (1 to 6)",
     Reason.BUSY: "it is armed already, or its stiffness is still falling",
     Reason.CHALLENGE: "its challenge was not confirmed within a second",
     Reason.STARTING: "it runs for less than a second, and does not know yet who else writes rt/lowcmd",

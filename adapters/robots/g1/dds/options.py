@@ -36,13 +36,18 @@ class NetworkOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 Action = Literal["arm", "policy", "disarm"]
 
+_WAIST = (13, 14)
+ABSENT = {3: _WAIST, 6: _WAIST, 1: (*_WAIST, 20, 21, 27, 28), 4: (*_WAIST, 20, 21, 27, 28)}
+"""Motors that a robot does not have, of 29, by what it says it is (``mode_machine``): roll and pitch of a locked waist;
+of one with 23 joints pitch and yaw of the wrists too."""
+
 
 class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of a real G1, beside where it is on the network.
 
     Attributes:
-        mode_machine: What the robot says it is when it is of the kind that the policy was made for: 5 for 29 joints, 6
-            for a locked waist.
+        mode_machine: What the robot says it is when it is of the kind that the policy was made for, or is known to walk
+            on: 5 for 29 joints, 6 for a locked waist, 4 for 23 joints. Joints that are not there are told as 0.
         first_state_within_s: Longest wait for its first state [s].
         guard, guard_port: Address of the guard (`bridges/g1_guard`) that owns the motors; "" for none: then nothing
             damps the robot when this process dies.
@@ -50,7 +55,7 @@ class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fie
             B, stop the robot whatever is set here.
     """
 
-    mode_machine: Literal[5, 6] = 5
+    mode_machine: Literal[4, 5, 6] = 5
     first_state_within_s: float = 5.0
     guard: str = ""
     guard_port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 47029

@@ -17,7 +17,7 @@ from adapters.robots.g1.dds.command_sender import CommandSender, DirectSender, G
 from adapters.robots.g1.dds.guard_limits import most_gains
 from adapters.robots.g1.dds.health_monitor import JOINTS, HealthMonitor
 from adapters.robots.g1.dds.network import Network
-from adapters.robots.g1.dds.options import G1DdsOptions
+from adapters.robots.g1.dds.options import ABSENT, G1DdsOptions
 from adapters.robots.g1.dds.remote import Remote
 from adapters.robots.g1.dds.switcher import Switcher
 from adapters.robots.g1.joints import G1_29
@@ -74,6 +74,7 @@ class G1Dds:
         self._steps = -1  # since it was armed; -1 while it is damped
         self._entry_q: Floats = np.zeros(JOINTS)
         self._sent_q: Floats = np.zeros(JOINTS)
+        self._is_there = np.ones(JOINTS, bool)
         self._bad_targets = ""
         try:
             self._sender: CommandSender = (
@@ -97,16 +98,28 @@ class G1Dds:
     def _take(self) -> None:
         now_s = self._clock.monotonic_s()
         came = self._states.take()
-        records = messages.states([message for message in came if messages.is_intact(message)])
+        sent = messages.states([message for message in came if messages.is_intact(message)])
+        records = self._of_motors_that_are_there(sent)
         self._monitor.on_states(records, len(came) - len(records), now_s)
         if len(records):
             self._newest = records[-1]
             self._remote.update(np.ascontiguousarray(records["remote"]))
-            self._samples.append(rows.of(records))
+            self._samples.append(rows.of(sent))
             self._state = _state(self._newest, self._clock.monotonic_ns())
         for battery in self._batteries.take_objects():
             self._monitor.on_battery(float(battery.soc), now_s)
             self._battery = codec.f64(rows.battery(battery))
+
+    def _of_motors_that_are_there(self, records: NDArray[Any]) -> NDArray[Any]:
+        """Return states in which nothing is told of motors that the robot does not have, whatever it sends for them."""
+        absent = list(ABSENT.get(int(records[-1]["mode_machine"]), ())) if len(records) else []
+        if not absent:
+            return records
+        self._is_there[:] = True
+        self._is_there[absent] = False
+        told = records.copy()
+        told["motors"][:, absent] = 0
+        return told
 
     def write(self, targets: JointTargets) -> JointTargets:
         """Send targets, and return what was sent: within the joints' ranges, and gently after arming."""
@@ -124,12 +137,13 @@ class G1Dds:
             self._entry_q = q
         else:
             q, kp = self._gentle(targets.q), targets.kp
-        q = np.clip(q, self._lower, self._upper)
+        q = np.where(self._is_there, np.clip(q, self._lower, self._upper), 0.0)
+        kp, kd = kp * self._is_there, targets.kd * self._is_there
         self._steps += 1
         self._sent_q = q
         assert self._newest is not None
-        self._sender.send(self._newest, q, kp, targets.kd)
-        return JointTargets(q, kp, targets.kd)
+        self._sender.send(self._newest, q, kp, kd)
+        return JointTargets(q, kp, kd)
 
     def damp(self) -> None:
         """Send damping alone; a robot that was never armed is sent nothing."""

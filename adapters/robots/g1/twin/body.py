@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,9 +19,6 @@ from station.rotations import multiply, roll_pitch_yaw, rotate_inverse, tilt
 
 STEP_S = 0.001
 JOINTS = len(G1.joints)
-LOCKED_WAIST = (13, 14)
-"""Motors of the waist's roll and pitch, which a robot with a locked waist does not move."""
-
 FALLEN_M = 0.4
 """A pelvis below it has fallen [m]."""
 
@@ -69,7 +67,7 @@ class TwinBody:
 
     Args:
         model: MJCF file.
-        is_waist_locked: Whether roll and pitch of the waist cannot move.
+        absent: Motors that it does not have: their joints are bolted where they are at the start.
         seed: Of offsets and noise.
 
     Attributes:
@@ -77,17 +75,16 @@ class TwinBody:
         falls: How often the pelvis fell below `FALLEN_M`.
     """
 
-    def __init__(self, model: Path, *, is_waist_locked: bool = False, seed: int = 0) -> None:
+    def __init__(self, model: Path, *, absent: Sequence[int] = (), seed: int = 0) -> None:
         self._model = mjcf.load(G1, model, is_drawn=False)
         self._model.opt.timestep = STEP_S
         self._data = mujoco.MjData(self._model)
         self._at = Addresses(G1, self._model)
         self._torso = self._model.body("torso_link").id
         self._model.actuator_gainprm[self._at.u, 0] = 1.0  # what the motors are to do is computed in `_set`
-        if is_waist_locked:
-            locked = self._at.v[list(LOCKED_WAIST)]
-            self._model.dof_armature[locked] = 100.0  # a bolt: so much inertia that nothing moves it
-            self._model.dof_damping[locked] = 5000.0
+        bolted = self._at.v[list(absent)]
+        self._model.dof_armature[bolted] = 100.0  # so much inertia that nothing moves it
+        self._model.dof_damping[bolted] = 5000.0
         self._chance = np.random.default_rng(seed)
         self._offsets = self._chance.uniform(-1.0, 1.0, JOINTS)
         self._limits_nm = np.array(G1.torques_nm)

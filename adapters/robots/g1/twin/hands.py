@@ -62,6 +62,10 @@ class Fingers:
         self.dq = np.zeros(len(joints))
         self.tau = np.zeros(len(joints))
 
+    def shown(self) -> dict[str, float]:
+        """Return where the joints are, by name [rad]."""
+        return dict(zip(self.names, self.q.round(4).tolist(), strict=True))
+
     def pull(self, q: Floats, kp: Floats, kd: Floats, dt_s: float, stop: float) -> None:
         """Move by a motor's law for a period [s]; what the hand holds stops it at a part of closing."""
         self.tau = np.clip(kp * (q - self.q) - kd * self.dq, -self._most_nm, self._most_nm)
@@ -194,7 +198,7 @@ class Dex3Hand(TwinHand):
 
     def health(self) -> dict[str, Any]:
         """Return what a heartbeat tells of it."""
-        return {"q": self.fingers.q.round(4).tolist(), "is_stiff": bool(self._kp.any()), **self.counts}
+        return {"q": self.fingers.shown(), "is_stiff": bool(self._kp.any()), **self.counts}
 
 
 class InspireHand(TwinHand):
@@ -237,7 +241,7 @@ class InspireHand(TwinHand):
 
     def health(self) -> dict[str, Any]:
         """Return what a heartbeat tells of it."""
-        return {"q": self._q.round(4).tolist(), **self.counts}
+        return {"q": {k: v for each in self.fingers.values() for k, v in each.shown().items()}, **self.counts}
 
 
 def hands(network: Network, which: str, motors: Any) -> dict[str, TwinHand]:

@@ -14,8 +14,7 @@ class G1TwinOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
     Attributes:
         model: MJCF of the robot, a path or ``collection:path``.
-        mode_machine: What kind of G1 it says that it is: 5 with 29 joints, 6 with 29 of which the waist's roll and
-            pitch are locked.
+        mode_machine: What kind of G1 it is, and says so: 5 with 29 joints, 6 with a locked waist, 4 with 23 joints.
         is_released: Whether its own controller has let go of the motors already; as it boots, it has not.
         hands: What it has for hands: ``none``, ``dex3``, ``inspire-dfx`` or ``inspire-dftp``.
         hand_motors: Order of the motors of a Dex3-1, as in the settings of its robot.
@@ -24,7 +23,7 @@ class G1TwinOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fi
     """
 
     model: str = G1.mjcf
-    mode_machine: Literal[5, 6] = 5
+    mode_machine: Literal[4, 5, 6] = 5
     is_released: bool = False
     hands: Literal["none", "dex3", "inspire-dfx", "inspire-dftp"] = "none"
     hand_motors: Fingers = "as-twist2"

@@ -12,7 +12,7 @@ import numpy as np
 
 from adapters.robots.g1.dds import messages, topics, types
 from adapters.robots.g1.dds.network import Network, raw
-from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.g1.dds.options import ABSENT, NetworkOptions
 from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.twin import hands
 from adapters.robots.g1.twin.body import JOINTS, STEP_S, TwinBody
@@ -27,6 +27,7 @@ STEPS_PER_STATE = 2
 
 _LOW_RATE = 25  # states for each of the slow topics: 20 Hz
 _RECENT = 4096
+_JUNK = 200  # of motors that are not there: what a robot sends for them nobody knows, so nothing may lean on it
 
 
 class G1Twin:
@@ -40,9 +41,8 @@ class G1Twin:
     period_s = STEP_S * STEPS_PER_STATE
 
     def __init__(self, options: G1TwinOptions, faults: G1Faults) -> None:
-        self.body = TwinBody(
-            assets.resolve(options.model), is_waist_locked=options.mode_machine == 6, seed=options.seed
-        )
+        self._absent = list(ABSENT.get(options.mode_machine, ()))
+        self.body = TwinBody(assets.resolve(options.model), absent=self._absent, seed=options.seed)
         self.firmware = Firmware(options.mode_machine)
         if options.is_released:
             self.firmware.controller = ""
@@ -63,6 +63,7 @@ class G1Twin:
         self._record["version"] = (1, 0)
         modes = np.zeros(messages.SLOTS, np.uint8)
         modes[:JOINTS] = 1
+        modes[self._absent] = 0
         messages.set_modes(self._record, modes)
         self._ticks = self._tick_ms = 0
         self._on_the_way: deque[tuple[float, bytes]] = deque(maxlen=_RECENT)
@@ -173,6 +174,8 @@ class G1Twin:
         motors["error"] = TIMED_OUT if self.firmware.is_without_commands(self.now_s) else 0
         for name, bits in self._faults.motor_error.items():
             motors["error"][G1_29.index(name)] |= bits
+        for name in ("q", "dq", "temperature", "error"):
+            motors[name][self._absent] = _JUNK
         record["remote"] = np.frombuffer(self.firmware.remote(), np.uint8)
         return messages.signed(record)
 

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.commands import hands as commands
+from adapters.commands.hand import HandCommand
 from adapters.policies.direct import DirectPolicy
 from adapters.robots.g1.dds import types
 from adapters.robots.g1.dds.network import Network, raw
@@ -96,9 +97,7 @@ class HandBench:
         """Ask for all fingers to be closed by a part from now on."""
         formats = self.command.parts if isinstance(self.command, PartedCommand) else (self.command,)
         self.wanted = [
-            each.opened + part * (each.closed - each.opened)
-            for each in formats
-            if isinstance(each, commands.HandCommand)
+            each.opened + part * (each.closed - each.opened) for each in formats if isinstance(each, HandCommand)
         ]
 
     def arm(self) -> None:
@@ -112,10 +111,8 @@ class HandBench:
     def q(self) -> Floats:
         """Where the twin's joints are, in the order of the station."""
         told = {}
-        for each in [self.twin] if not isinstance(self.command, PartedCommand) else self.twins.values():
-            fingers = each.fingers if isinstance(each.fingers, dict) else {"": each.fingers}
-            for one in fingers.values():
-                told |= dict(zip(one.names, one.q.tolist(), strict=True))
+        for each in self.twins.values() if isinstance(self.command, PartedCommand) else [self.twin]:
+            told |= each.health()["q"]
         return np.array([told[name] for name in self.robot.joint_names])
 
     def reason(self, name: str) -> str:

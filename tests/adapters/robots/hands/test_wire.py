@@ -37,7 +37,7 @@ CHANCE = np.random.default_rng(17)
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> str:
+def compiled(tmp_path_factory: pytest.TempPathFactory, processes: None) -> str:
     """What Cyclone 0.10's compiler makes of the types."""
     if shutil.which("idlc") is None and not os.environ.get("CI"):
         pytest.skip("needs idlc of Cyclone DDS 0.10 (apt install cyclonedds-tools)")

@@ -293,14 +293,17 @@ def _walk(found: Bench, seconds: float) -> None:
         found.run(PERIOD_S)
 
 
-def test_r17_a_locked_waist_never_moves():
-    with bench(twin={"mode_machine": 6}, mode_machine=6) as found:
+@pytest.mark.parametrize(("mode_machine", "absent"), [(6, [13, 14]), (4, [13, 14, 20, 21, 27, 28])])
+def test_r17_motors_that_a_robot_does_not_have_are_sent_nothing_and_it_walks_without_them(mode_machine, absent):
+    with bench(twin={"mode_machine": mode_machine}, mode_machine=mode_machine) as found:
         found.plug_in()
         found.stand()
         before = len(found.records)
         _walk(found, 3.0)
-        waist = [G1_29.index(name) for name in ("waist_roll", "waist_pitch")]
-        assert np.abs([record.state.q[waist] for record in found.records[before:]]).max() < 0.01
+        assert np.abs([record.state.q[absent] for record in found.records[before:]]).max() < 0.01
+        assert not np.any([record.sent.kp[absent] for record in found.records])
+        assert np.abs(found.twin.body.qpos[7:][absent]).max() < 0.01, "bolted"
+        assert not found.twin.body.held.kd[absent].any()
         assert found.twin.body.falls == 0
 
 
