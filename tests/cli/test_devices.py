@@ -31,7 +31,7 @@ from tests.cli.running import Home, Running, one_line
 from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
-DEVICES = ["gamepad", "gello", "glove", "keyboard", "natnet", "pico", "spacemouse"]
+DEVICES = ["g1-remote", "gamepad", "gello", "glove", "keyboard", "natnet", "pico", "spacemouse"]
 CAMERAS = ["files", "mujoco", "realsense", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
@@ -148,7 +148,12 @@ def test_a_device_of_somebody_s_package_brings_its_buttons(lab: Home, tmp_path: 
     assert "a lab-arm has no control 'pedla' (did you mean 'pedal'?)" in said
 
 
-SHOWN = {"gamepad": "left_bumper=1", "keyboard": "key_enter=1", "spacemouse": "button_0=1"}
+SHOWN = {
+    "g1-remote": "left_bumper=1",
+    "gamepad": "left_bumper=1",
+    "keyboard": "key_enter=1",
+    "spacemouse": "button_0=1",
+}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "terminated"])
@@ -240,7 +245,7 @@ def test_buttons_are_shown_with_what_a_file_changes(home: Home, tmp_path: Path) 
     assert mine["success"][0] == "right_grip, left_grip+left_trigger"
     assert mine["mark"][0] == "-"
     every = home.json("devices", "buttons")
-    assert list(every) == ["gamepad", "keyboard", "pico", "spacemouse"]
+    assert list(every) == ["g1-remote", "gamepad", "keyboard", "pico", "spacemouse"]
     assert every["keyboard"]["exit"] == ["key_q"]
     assert every["spacemouse"]["mark"] == []
 
@@ -359,7 +364,7 @@ def test_a_glove_is_calibrated_at_a_terminal(home: Home, tmp_path: Path) -> None
     [
         (["lst"], 2, "unknown `station devices` command 'lst' (did you mean 'list'?)"),
         (["fake"], 2, "Missing argument 'DEVICE'"),
-        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: gamepad, gello, glove,"),
+        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: g1-remote, gamepad, gello, glove,"),
         (["fake", "gello", "--port", "60061"], 2, "devices fake gello: takes no --port"),
         (["fake", "pico", "--port", "70000"], 2, "70000 is not in the range 0<=x<=65535"),
         (["fake", "pico", "--play", "none.json"], 2, "none.json: cannot be read: No such file or directory"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -72,7 +71,7 @@ class Gamepad:
                 name: pedals.value(name, terms, shown) for name, terms in self._named.items()
             }
         if self._is_mapped or self._named:
-            self._apply_dead_band(shown)
+            names.apply_dead_band(shown, self._dead_band)
         return OperatorSample(controls=shown)
 
     def why_silent(self) -> str:
@@ -165,12 +164,3 @@ class Gamepad:
         self._state[control] = float(is_down)
         if is_down:
             self._tapped.add(control)
-
-    def _apply_dead_band(self, shown: dict[str, float]) -> None:
-        """Make sticks and triggers rise from zero at the edge of the dead band; a stick's is round."""
-        for controls in (*names.STICKS, *((trigger,) for trigger in names.TRIGGERS)):
-            size = math.hypot(*(shown[control] for control in controls))
-            beyond = max(0.0, min(1.0, size) - self._dead_band) / (1.0 - self._dead_band)
-            factor = beyond / size if size else 0.0
-            for control in controls:
-                shown[control] *= factor

@@ -6,6 +6,8 @@ pad that it does not know has axes, buttons and hats by number; an SDL mapping i
 
 from __future__ import annotations
 
+import math
+
 STICKS = (("left_stick_x", "left_stick_y"), ("right_stick_x", "right_stick_y"))
 TRIGGERS = ("left_trigger", "right_trigger")
 
@@ -29,3 +31,13 @@ def axis(number: int, value: int) -> float:
     """Return what a stick (-1..1) or a trigger (0..1) shows; x is positive to the right, y forward."""
     shown = max(-1.0, min(1.0, value / FULL))
     return 0.0 - shown if AXES[number].endswith("_y") else shown  # SDL's y is positive towards the person
+
+
+def apply_dead_band(shown: dict[str, float], band: float) -> None:
+    """Make sticks and triggers rise from zero at the edge of a dead band, a part of the way; a stick's is round."""
+    for controls in (*STICKS, *((trigger,) for trigger in TRIGGERS)):
+        size = math.hypot(*(shown[control] for control in controls))
+        beyond = max(0.0, min(1.0, size) - band) / (1.0 - band)
+        factor = beyond / size if size else 0.0
+        for control in controls:
+            shown[control] *= factor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,15 @@ class Sticks(NamedTuple):
     left_y: float
     right_x: float
     right_y: float
+
+
+def remote_bytes(held: Iterable[str], sticks: Sticks) -> NDArray[np.uint8]:
+    """Return the bytes of a remote that is on, shape (40,)."""
+    data = np.zeros(40, np.uint8)
+    data[:2].view("<u2")[0] = _HEADS[0]
+    data[2:4].view("<u2")[0] = sum(1 << BUTTONS.index(name) for name in set(held))
+    data.view("<f4")[[1, 5, 2, 3]] = sticks
+    return data
 
 
 class Remote:

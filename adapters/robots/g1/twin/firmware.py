@@ -13,7 +13,7 @@ from collections import Counter
 import numpy as np
 
 from adapters.robots.g1.dds import messages, words
-from adapters.robots.g1.dds.buttons import BUTTONS
+from adapters.robots.g1.dds.remote import Sticks, remote_bytes
 from adapters.robots.g1.twin.body import JOINTS, Held
 from adapters.robots.g1.twin.faults import G1Faults
 
@@ -119,14 +119,7 @@ class Firmware:
         """Return the forty bytes of the remote."""
         if self._faults.remote_off:
             return bytes(40)
-        data = np.zeros(40, np.uint8)
-        data[:2] = (0x55, 0x51)
-        bits = sum(1 << BUTTONS.index(name) for name in self._faults.remote)
-        data[2:4] = np.frombuffer(bits.to_bytes(2, "little"), np.uint8)
-        left_x, left_y, right_x, right_y = self._faults.sticks
-        for place, value in ((4, left_x), (8, right_x), (12, right_y), (20, left_y)):
-            data[place : place + 4] = np.frombuffer(np.float32(value).tobytes(), np.uint8)
-        return data.tobytes()
+        return remote_bytes(self._faults.remote, Sticks(*self._faults.sticks)).tobytes()
 
     def _release(self) -> None:
         """Let go of the motors: the robot is limp at once."""
