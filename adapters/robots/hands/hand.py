@@ -57,7 +57,7 @@ class DdsHand:
         self._states = self._network.reader(wire.state_topic, getattr(types, wire.state_type), _DEPTH)
         command_type = getattr(types, wire.command_type)
         self._commands = self._network.writer(wire.command_topic, raw(command_type))
-        self._others = OtherWriters(self._network, wire.command_topic, command_type)
+        self._others = OtherWriters(self._network, wire.command_topic)
         self._q = self._dq = np.zeros(len(wire.joints))
         self._heard_s = -np.inf
         self._states_read = self._malformed = 0

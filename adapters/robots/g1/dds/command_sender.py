@@ -82,7 +82,7 @@ class DirectSender:
         self._command = messages.new_command()
         self._machine = -1
         self._has_sent = False
-        self._others = OtherWriters(network, topics.LOW_CMD, types.LowCmd)
+        self._others = OtherWriters(network, topics.LOW_CMD)
 
     def poll(self) -> None:
         """Check for other writers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -55,16 +56,14 @@ class HealthMonitor:
         self._damaged_at.extend([now_s] * min(damaged, 64))
         if len(records):
             self._heard_s, self._newest = now_s, records[-1]
-            ticks = np.concatenate([[self._tick], records["tick"].astype(np.int64)])
-            steps = np.diff(ticks)
-            new = steps > 0 if self._tick >= 0 else np.ones(len(steps), bool)
+            ticks: list[int] = records["tick"].tolist()  # of ten numbers NumPy takes eight times as long
+            new = [step for step in (after - before for before, after in pairwise([self._tick, *ticks])) if step > 0]
             if self._tick >= 0:
-                self.lost_ticks += int(np.maximum(steps[new] - 2, 0).sum())
-            grown = int(ticks[-1] - ticks[0]) if self._tick >= 0 else 0
-            if new.any():
+                self.lost_ticks += sum(max(step - 2, 0) for step in new)
+            if new:
                 self._counted_s = now_s
-                self._came.append((now_s, int(new.sum()), max(grown, 0)))
-            self._tick = int(ticks[-1])
+                self._came.append((now_s, len(new), max(ticks[-1] - self._tick, 0)))
+            self._tick = ticks[-1]
             if records["remote"].any():
                 self._remote_s = now_s
         while len(self._came) > 1 and now_s - self._came[1][0] >= _OVER_S:  # the first ends what came before

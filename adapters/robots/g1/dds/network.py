@@ -99,7 +99,7 @@ class Network:
 
     def __init__(self, options: NetworkOptions) -> None:
         self.options = options
-        config = _config(options.interface)
+        config = cyclone_config(options.interface)
         known = self._domains.get(options.domain)
         if known is not None and known[0] != config:
             raise ConfigError(f"domain {options.domain}: this process has opened it on another network interface")
@@ -116,6 +116,7 @@ class Network:
         self._topics: dict[tuple[str, type[IdlStruct]], Topic[Any]] = {}
         self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._participants = BuiltinDataReader(self._participant, BuiltinTopicDcpsParticipant)
+        self._news = ReadCondition(self._publications, ViewState.Any | InstanceState.Any | SampleState.NotRead)
         self._own = str(self._participant.guid)
 
     def __enter__(self) -> Self:
@@ -146,6 +147,13 @@ class Network:
         """Return a writer; messages are bytes where the type is `raw`, else of the type."""
         found = self._topic(topic, kind)
         return TopicWriter(DataWriter(self._participant, found, _WRITES), kind, topic)
+
+    def have_writers_changed(self) -> bool:
+        """Whether writers of whatever topic and type have come or gone since the last call, or one of `writers_of`."""
+        is_news: bool = self._news.triggered
+        if is_news:
+            self._publications.read(_MOST_DISCOVERED, self._news)  # so that it is none the next time
+        return is_news
 
     def writers_of(self, topic: str) -> list[RemoteWriter]:
         """Return who else writes a topic now, without those of this participant."""
@@ -193,10 +201,6 @@ class Reader:
     def take_stamped(self) -> list[RawMessage]:
         """As `take`, with what DDS says of each: when it was sent, by its sender's clock (``source_timestamp``)."""
         return [message for message in self._reader.take(self._depth) if isinstance(message, RawMessage)]
-
-    def writers(self) -> int:
-        """Return how many writers of the topic there are now, those of this process too."""
-        return len(self._reader.get_matched_publications())
 
     def take_objects(self) -> list[Any]:
         """Return the messages since the last call as objects of the type, oldest first; what is none is counted."""
@@ -256,7 +260,7 @@ def _properties(participant: Any) -> dict[str, str]:
     return {policy.key: policy.value for policy in participant.qos if isinstance(policy, Policy.Property)}
 
 
-def _config(interface: str) -> str:
+def cyclone_config(interface: str) -> str:
     """Return what Cyclone DDS reads: one interface alone, and on loopback no multicast, which it does not have."""
     is_local = interface == LOOPBACK
     multicast = "false" if is_local else "default"

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from cyclonedds.idl import IdlStruct
-
 from adapters.robots.g1.dds.network import Network
 
 _LOOKS_EVERY = 10  # periods
-_LOOKS_WELL_EVERY = 250  # periods; to look through all that was discovered takes 3 ms, and finds writers of odd types
 
 
 class OtherWriters:
@@ -16,20 +13,17 @@ class OtherWriters:
     Args:
         network: The robot's.
         topic: The topic.
-        kind: Its type.
     """
 
-    def __init__(self, network: Network, topic: str, kind: type[IdlStruct]) -> None:
+    def __init__(self, network: Network, topic: str) -> None:
         self._network, self._topic = network, topic
-        self._reader = network.reader(topic, kind, depth=1)  # is matched with every writer at once
-        self._known, self._polls, self._other = -1, 0, ""
+        self._polls, self._other = 0, ""
 
     def poll(self) -> None:
-        """Check for other writers, ten periods apart."""
+        """Check for other writers, ten periods apart; to look through all of them takes 3 ms."""
         is_time = self._polls % _LOOKS_EVERY == 0
         self._polls += 1
-        if is_time and (self._reader.writers() != self._known or self._polls % _LOOKS_WELL_EVERY == 1):
-            self._known = self._reader.writers()
+        if is_time and self._network.have_writers_changed():
             others = self._network.writers_of(self._topic)
             self._other = str(others[0]) if others else ""
 

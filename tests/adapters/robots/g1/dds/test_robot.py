@@ -93,13 +93,13 @@ def test_r5_a_robot_of_another_kind_is_named():
         assert "mode_machine 6 (29 joints, locked waist); expected 5" in found.robot.why_not_arm()
 
 
-def test_r5_another_program_that_writes_commands_is_named():
+@pytest.mark.parametrize("kind", [types.LowCmd, types.IMUState], ids=["of the type", "of another type"])
+def test_r5_another_program_that_writes_commands_is_named(kind):
     with bench() as found:
         found.plug_in()
         found.release()
         with Network(NetworkOptions(domain=found.domain)) as other:
-            writer = other.writer(topics.LOW_CMD, raw(types.LowCmd))
-            writer.write(messages.signed(messages.new_command()))
+            _its_own = other.writer(topics.LOW_CMD, raw(kind))
             found.run(0.5)
             assert "another program writes rt/lowcmd: python" in found.robot.why_not_arm()
         found.run(0.5)
