@@ -16,7 +16,7 @@ from station.errors import did_you_mean
 
 MODULES = (
     "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "legged", "devices", "camera", "retarget",
-    "walking", "reading", "export", "startup", "whole", "kord",
+    "walking", "reading", "export", "startup", "whole", "kord", "dds",
 )  # fmt: skip
 
 

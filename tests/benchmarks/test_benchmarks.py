@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks import report
 from benchmarks.harness import Benchmark, Row, Target, alternate, compare, p99
+from tests.dds_domains import domain
 
 pytestmark = [pytest.mark.usefixtures("processes"), pytest.mark.timeout(300)]
 
@@ -38,6 +39,26 @@ def test_a_quick_run_of_bus_and_loop_prints_a_table_of_each_and_writes_the_page(
     assert "`python -m benchmarks bus loop --quick`" in text
     report.write(page, {}, ("bus", "loop"))
     assert page.read_text() == text, "what did not run stays as it is"
+
+
+def test_a_quick_run_of_a_g1s_wire_compares_messages_and_periods() -> None:
+    pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
+    with domain(0):
+        result = run("dds", "--quick", "--width", "200")
+    assert result.returncode == 0, result.stderr
+    for line in ("take and check a LowState, p50", "make and write a LowCmd, p99", "period: both, p99", "period: CPU"):
+        assert re.search(re.escape(line) + r".* x ", result.stdout), result.stdout
+
+
+def test_the_checksum_that_a_baseline_makes_bit_after_bit_is_that_of_the_wire() -> None:
+    types = pytest.importorskip("adapters.robots.g1.dds.types", reason="needs the extra 'g1'")
+    from adapters.robots.g1.dds import messages
+    from benchmarks.dds import checksum_by_bits
+
+    for record, kind in ((messages.new_state(), types.LowState), (messages.new_command(), types.LowCmd)):
+        record["motors"]["q"][0, :29], record["mode_machine"] = 0.3, 5
+        signed = messages.signed(record)
+        assert checksum_by_bits(kind.deserialize(signed)) == messages.checksum(signed)
 
 
 def test_an_unknown_benchmark_is_refused_with_the_names_of_those_there_are() -> None:
