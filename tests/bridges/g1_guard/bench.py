@@ -10,13 +10,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from adapters.robots.g1.dds.guard_client import MOTORS, GuardClient, GuardStatus, Reason, State
+from tests.dds_domains import domain
 from tests.waiting import wait_until
 
 Q, KP, KD = np.full(MOTORS, 0.1), np.full(MOTORS, 40.0), np.full(MOTORS, 2.0)
@@ -235,3 +236,16 @@ class Sender:
         with contextlib.suppress(ProcessLookupError):
             self.signal(signal.SIGKILL)
         self._child.communicate()
+
+
+@contextlib.contextmanager
+def guarded(program: Path) -> Iterator[tuple[int, list[str]]]:
+    """Have a guard on a domain of its own; yields that, and the settings of a twin and a robot that meet there."""
+    port = free_port()
+    with domain() as number, subprocess.Popen([str(program), "--domain", str(number), "--port", str(port)]) as running:
+        try:
+            of_robot = {"domain": number, "guard": "127.0.0.1", "guard_port": port}
+            options = [f"robot.robot_options.{name}={value}" for name, value in of_robot.items()]
+            yield number, [f"twin.options.domain={number}", *options]
+        finally:
+            running.terminate()

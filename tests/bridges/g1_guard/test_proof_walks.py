@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import socket
-import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from statistics import mean
 
@@ -14,8 +11,8 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.policies.twist2 import Twist2Policy
+from tests.bridges.g1_guard.bench import guarded
 from tests.cli.running import Home, new_home
-from tests.dds_domains import domain
 from tests.figures import Figures
 from tests.main_job.test_motions import SHIPPED
 
@@ -50,24 +47,6 @@ def _recorded(home: Home, runbook: str, task: str, *settings: str) -> float:
     return float(steps["mean_joint_error_rad"])
 
 
-@contextmanager
-def _guarded(guard: Path) -> Iterator[list[str]]:
-    """Have a guard on a domain of its own; yields the settings of a twin and a robot that meet there."""
-    with domain() as number:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        with subprocess.Popen([str(guard), "--domain", str(number), "--port", str(port)]) as running:
-            try:
-                of_robot = {"domain": number, "guard": "127.0.0.1", "guard_port": port}
-                yield [
-                    f"twin.options.domain={number}",
-                    *(f"robot.robot_options.{name}={value}" for name, value in of_robot.items()),
-                ]
-            finally:
-                running.terminate()
-
-
 @pytest.mark.parametrize("motion", SHIPPED, ids=lambda motion: Path(motion).stem[-3:])
 @pytest.mark.parametrize("policy", OF_POLICY)
 def test_a_walk_over_the_wire_is_as_good_as_in_simulation(
@@ -79,7 +58,7 @@ def test_a_walk_over_the_wire_is_as_good_as_in_simulation(
         errors["simulated"].append(
             _recorded(home, "g1-sim-motion", f"simulated-{number}", plays, f"g1.policy={policy}")
         )  # fmt: skip
-        with _guarded(plain) as options:
+        with guarded(plain) as (_, options):
             errors["real"].append(
                 _recorded(home, "g1-twin-motion", f"real-{number}", plays, *options, *OF_POLICY[policy])
             )  # fmt: skip
