@@ -21,6 +21,7 @@ from station.bus.address import BusAddress
 from station.software import software
 from tests import examples, figures, leftovers, progress, tiers
 from tests.figures import Figures
+from tests.network_link import link
 from tests.shared_bus import SharedBus
 from tests.warm.starts import WarmStarts
 
@@ -214,6 +215,15 @@ def real_time() -> None:
 @pytest.fixture(scope="session")
 def processes() -> None:
     """Real processes: a test that uses this belongs to the tier `station`."""
+
+
+@pytest.fixture(scope="session")
+def network_links(processes: None) -> None:
+    """A user who may lay cables between computers that are network namespaces (`tests.network_link`)."""
+    if why_not := link.why_not():
+        if os.environ.get("CI"):
+            pytest.fail(why_not)
+        pytest.skip(why_not)
 
 
 @pytest.fixture(scope="session")

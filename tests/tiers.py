@@ -33,7 +33,8 @@ LONGEST_SLEEP_S = 0.1
 
 ROOT = Path(__file__).parents[1]
 BUILT_FROM = (
-    "bridges/kord", "bridges/g1_guard", "tests/bridges", "adapters/robots/g1", "pyproject.toml", "tests/test_wheel.py"
+    "bridges/kord", "bridges/g1_guard", "tests/bridges", "tests/network_link", "adapters/robots/g1", "pyproject.toml",
+    "tests/test_wheel.py",
 )  # fmt: skip
 
 _PROCESS_EVENTS = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")

@@ -1,0 +1,1 @@
+"""Two computers on one machine and the cable between them: see `tests.network_link.link`."""
