@@ -193,8 +193,13 @@ def _against_arming(health: Health) -> Iterator[Finding]:
     else:
         yield Finding("ok", subject, "nothing is against arming its robot")
     if health.detail.get("guard") == "none":
-        yield Finding("warning", subject, "no guard owns the motors: who damps the robot when this server dies?",
+        yield Finding("warning", subject, "no guard owns the motors: who damps the robot when this server dies, or its "
+                      "cable is cut?",
                       "run its guard, and name that in robot_options")  # fmt: skip
+    elif health.detail.get("guard_is_beside_us"):
+        yield Finding("warning", subject, "its guard runs on this computer: it damps the robot when this server dies, "
+                      "not when the robot's cable is cut",
+                      "run the guard on the robot's computer, unless this is that")  # fmt: skip
 
 
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:

@@ -29,9 +29,13 @@ def _said(**detail: Any) -> list[tuple[str, str]]:
 def test_the_doctor_says_what_is_against_arming_a_robot_and_whether_a_guard_owns_its_motors():
     assert _said(why_not_arm="no state", guard="none") == [
         ("broken", "its robot is not to be armed: no state"),
-        ("warning", "no guard owns the motors: who damps the robot when this server dies?"),
+        ("warning", "no guard owns the motors: who damps the robot when this server dies, or its cable is cut?"),
     ]
     assert _said(why_not_arm="", guard="1.2.3.4:5") == [("ok", "nothing is against arming its robot")]
+    (_, found) = _said(why_not_arm="", guard="127.0.0.1:5", guard_is_beside_us=True)
+    assert found[0] == "warning"
+    assert "not when the robot's cable is cut" in found[1]
+    assert len(_said(why_not_arm="", guard="1.2.3.4:5", guard_is_beside_us=False)) == 1
     assert _said() == [], "a simulated one says nothing of it"
 
 

@@ -28,9 +28,15 @@ _CLOSING_S = 0.3
 
 
 class CommandSender(Protocol):
-    """Sends commands to the motors. `poll` comes first in each control period."""
+    """Sends commands to the motors. `poll` comes first in each control period.
+
+    Attributes:
+        guard: Address of the guard that owns the motors, ``none`` where nothing does.
+        guard_is_here: Whether that runs on this computer.
+    """
 
     guard: str
+    guard_is_here: bool
 
     def poll(self) -> None:
         """Take what came since the last period."""
@@ -75,6 +81,7 @@ class DirectSender:
     """
 
     guard = "none"
+    guard_is_here = False
 
     def __init__(self, network: Network, period_s: float, clock: Clock) -> None:
         self._period_s, self._clock = period_s, clock
@@ -141,7 +148,7 @@ class GuardedSender:
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
         self._client = GuardClient(host, port, clock)
-        self.guard = f"{host}:{port}"
+        self.guard, self.guard_is_here = f"{host}:{port}", self._client.is_here
         self._is_ours = self._is_asked = False
         self._polls = 0
 

@@ -324,6 +324,12 @@ class GuardClient:
         return self._token != 0 and self.status is not None and self.status.state in (State.ARMED, State.FROZEN)
 
     @property
+    def is_here(self) -> bool:
+        """Whether the guard runs on this computer: whoever writes to itself does so from the address it writes to."""
+        host: str = self._socket.getpeername()[0]
+        return host.startswith("127.") or host == self._socket.getsockname()[0]
+
+    @property
     def silence_s(self) -> float:
         """How long ago the guard was heard [s]; infinite if never."""
         return math.inf if self._heard_ns is None else (self._clock.monotonic_ns() - self._heard_ns) / 1e9

@@ -20,6 +20,7 @@ SILENT_S = 0.1
 """A robot that sent no new state for longer is damped [s]: five control periods."""
 
 _RATE_HZ, _OVER_S = 490.0, 2.0
+_TICKS_PER_STATE, _LOST = 2, 0.01
 _TILT_RAD, _GYRO_RAD_S, _SPEED_RAD_S = np.radians(10.0), 0.2, 0.3
 _COOL_C, _WINDING_C, _CASING_C = 60.0, 120.0, 85.0
 _SOC_TO_ARM, _SOC_TO_STAND = 30.0, 10.0
@@ -111,7 +112,13 @@ class HealthMonitor:
         if span_s < _OVER_S:
             return f"its states have come for {span_s:.1f} s; expected {_OVER_S:g} s of them"
         if count / span_s < _RATE_HZ:
-            return f"its states come at {count / span_s:.0f} Hz; expected 500: is the cable good, is this machine busy?"
+            lost = 1.0 - count * _TICKS_PER_STATE / max(grown, 1)  # the robot's tick tells how many it has sent
+            why = (
+                f"{lost * 100.0:.0f} % are lost on the way: is the cable good, is this machine busy?"
+                if lost >= _LOST
+                else "hardly any is lost on the way, the robot sends no more"
+            )
+            return f"its states come at {count / span_s:.0f} Hz; expected 500: {why}"
         if not 0.9 < grown / (span_s * 1000.0) < 1.1:
             return f"its clock counts {grown / span_s:.0f} ms in a second"
         if self._damaged_at and now_s - self._damaged_at[-1] < _OVER_S:

@@ -17,7 +17,7 @@ from adapters.robots.g1.dds.command_sender import CommandSender, DirectSender, G
 from adapters.robots.g1.dds.guard_limits import most_gains
 from adapters.robots.g1.dds.health_monitor import JOINTS, HealthMonitor
 from adapters.robots.g1.dds.network import Network
-from adapters.robots.g1.dds.options import ABSENT, G1DdsOptions
+from adapters.robots.g1.dds.options import ABSENT, LOOPBACK, G1DdsOptions
 from adapters.robots.g1.dds.remote import Remote
 from adapters.robots.g1.dds.switcher import Switcher
 from adapters.robots.g1.joints import G1_29
@@ -226,6 +226,7 @@ class G1Dds:
             "own_controller": self._switcher.controller,
             "why_not_arm": self.why_not_arm(),
             "guard": self._sender.guard,
+            "guard_is_beside_us": self._sender.guard_is_here and self._options.interface != LOOPBACK,
         }
 
     def facts(self) -> dict[str, Any]:

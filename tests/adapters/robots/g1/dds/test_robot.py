@@ -37,7 +37,7 @@ def steps_until_damped(found: Bench) -> int:
 
 
 AGAINST_ARMING: dict[str, tuple[dict[str, Any], str]] = {
-    "rate": ({"state_drop": 0.1}, "its states come at 4"),
+    "rate": ({"state_drop": 0.1}, "% are lost on the way: is the cable good"),
     "tick": ({"tick_frozen": True}, "its clock stands still"),
     "checksum": ({"state_bad_crc": 0.01}, "wrong checksums"),
     "gyro": ({"gyro_bias_rad_s": 0.5}, "it turns at 0."),

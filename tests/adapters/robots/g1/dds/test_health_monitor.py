@@ -1,0 +1,40 @@
+"""What the rate of a G1's states says before it is armed: which of robot and cable is to blame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adapters.robots.g1.dds import messages
+from adapters.robots.g1.dds.health_monitor import HealthMonitor
+
+
+def why_not_arm(every_ms: int, arrives: int) -> str:
+    """Return what is said after three seconds of states, of which all arrive but each so-manieth; 0 for all."""
+    monitor = HealthMonitor("eno1, domain 0")
+    state = messages.new_state()
+    state["quat_wxyz"][0, 0] = 1.0
+    for number in range(3000 // every_ms):
+        state["tick"] = 1000 + number * every_ms
+        has_come = not arrives or number % arrives
+        monitor.on_states(state if has_come else state[:0], 0, number * every_ms * 1e-3)
+    return monitor.why_not_arm(3.0)
+
+
+@pytest.mark.parametrize(("every_ms", "arrives", "words"), [
+    (2, 20, "its states come at 475 Hz; expected 500: 5 % are lost on the way: is the cable good"),
+    (2, 3, "33 % are lost on the way"),
+    (2, 0, "the battery has said nothing for 5 s"),
+])  # fmt: skip
+def test_what_a_cable_loses_is_told_from_what_a_robot_does_not_send(every_ms, arrives, words):
+    assert words in why_not_arm(every_ms, arrives)
+
+
+def test_a_robot_whose_clock_goes_slow_sends_too_few():
+    monitor = HealthMonitor("eno1, domain 0")
+    state = messages.new_state()
+    state["quat_wxyz"][0, 0] = 1.0
+    for now_s in np.arange(0.0, 3.0, 0.00208):
+        state["tick"] += 2
+        monitor.on_states(state, 0, float(now_s))
+    assert "expected 500: hardly any is lost on the way, the robot sends no more" in monitor.why_not_arm(3.0)
