@@ -34,7 +34,7 @@ class Running:
     def __init__(self, terminal: Terminal, *arguments: str) -> None:
         self._file = Path(terminal.environment["XDG_RUNTIME_DIR"]) / f"{arguments[0]}.stderr"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "station", *arguments],
+            [*terminal.prefix, sys.executable, "-m", "station", *arguments],
             cwd=ROOT, env=terminal.environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
@@ -120,17 +120,17 @@ class Home(Terminal):
 
     def without(self, *variables: str) -> Home:
         """The same place without some variables."""
-        other = Home(Path(self.environment["XDG_RUNTIME_DIR"]))
+        other = Home(Path(self.environment["XDG_RUNTIME_DIR"]), self.prefix)
         other.environment = {name: value for name, value in self.environment.items() if name not in variables}
         return other
 
 
 @contextmanager
-def new_home() -> Iterator[Home]:
+def new_home(prefix: tuple[str, ...] = ()) -> Iterator[Home]:
     """A home with a path that is short enough for a socket, whatever the folder of the tests is called."""
     folder = Path(tempfile.mkdtemp(prefix="st-"))
     try:
-        yield Home(folder)
+        yield Home(folder, prefix)
     finally:
         shutil.rmtree(folder)
 

@@ -24,27 +24,29 @@ class Terminal:
 
     Args:
         folder: Holds the bus's socket (so its path is short), logs and episodes.
+        prefix: What each command line begins with, so that it runs elsewhere: `tests.network_link.link.End.prefix`.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, prefix: tuple[str, ...] = ()) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         kept = {name: value for name, value in os.environ.items() if name not in SHARED_VARIABLES}
         own = {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder / "state", "XDG_CONFIG_HOME": folder / "config",
                "STATION_DATA": folder / "data"}  # fmt: skip
         self.environment = kept | {name: str(place) for name, place in own.items()}
         self.data = folder / "data"
+        self.prefix = prefix
 
     def run(self, *arguments: str, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:
         """Run a verb to its end."""
         return subprocess.run(
-            [sys.executable, "-m", "station", *arguments],
+            [*self.prefix, sys.executable, "-m", "station", *arguments],
             cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False,
         )  # fmt: skip
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start a verb that runs until it is told to stop; its output is in one stream."""
         return subprocess.Popen(
-            [sys.executable, "-m", "station", *arguments],
+            [*self.prefix, sys.executable, "-m", "station", *arguments],
             cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
 

@@ -30,8 +30,8 @@ _CLONE_NEWNET = 0x40000000  # linux/sched.h
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _TUNSETIFF, _TUNSETCARRIER = 0x400454CA, 0x400454E2  # linux/if_tun.h
 _IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
-_SIOCSIFFLAGS, _SIOCSIFADDR, _SIOCSIFNETMASK = 0x8914, 0x8916, 0x891C  # linux/sockios.h
-_IFF_UP, _IFF_RUNNING = 0x1, 0x40
+_SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFADDR, _SIOCSIFNETMASK = 0x8913, 0x8914, 0x8916, 0x891C  # linux/sockios.h
+_IFF_UP = 0x1
 _LONGEST_FRAME = 2048
 _AT_ONCE = 64
 _PRIORITY = 70  # of SCHED_FIFO, above whatever runs at the ends: a cable is not busy
@@ -156,7 +156,9 @@ def make_end(libc: Any, interface: str, address: str, bits: int) -> tuple[int, i
             of_address = struct.pack("HH4s8x", socket.AF_INET, 0, socket.inet_aton(ip))
             fcntl.ioctl(any_socket, request, struct.pack("16s16s8x", interface.encode(), of_address))
         for name in ("lo", interface):
-            fcntl.ioctl(any_socket, _SIOCSIFFLAGS, struct.pack("16sH22x", name.encode(), _IFF_UP | _IFF_RUNNING))
+            request = struct.pack("16sH22x", name.encode(), 0)
+            (flags,) = struct.unpack("16xH22x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request))
+            fcntl.ioctl(any_socket, _SIOCSIFFLAGS, struct.pack("16sH22x", name.encode(), flags | _IFF_UP))
     return tap, os.open("/proc/thread-self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
 
 
