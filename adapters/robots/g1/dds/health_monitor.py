@@ -62,6 +62,8 @@ class HealthMonitor:
             if self._tick >= 0:
                 self.lost_ticks += sum(max(step - 2, 0) for step in new)
             if new:
+                if now_s - self._counted_s > SILENT_S:
+                    self._came.clear()  # what was lost in a silence says nothing of the line that is back
                 self._counted_s = now_s
                 self._came.append((now_s, len(new), max(ticks[-1] - self._tick, 0)))
             self._tick = ticks[-1]

@@ -30,6 +30,18 @@ def test_what_a_cable_loses_is_told_from_what_a_robot_does_not_send(every_ms, ar
     assert words in why_not_arm(every_ms, arrives)
 
 
+def test_after_a_silence_states_have_to_come_for_two_seconds_anew():
+    monitor = HealthMonitor("eno1, domain 0")
+    state = messages.new_state()
+    state["quat_wxyz"][0, 0] = 1.0
+    for milliseconds in [*range(0, 3000, 2), *range(6000, 9000, 2)]:
+        state["tick"] = 1000 + milliseconds
+        monitor.on_states(state, 0, milliseconds * 1e-3)
+        if milliseconds == 7000:
+            assert monitor.why_not_arm(7.0) == "its states have come for 1.0 s; expected 2 s of them"
+    assert "battery" in monitor.why_not_arm(9.0)
+
+
 def test_a_robot_whose_clock_goes_slow_sends_too_few():
     monitor = HealthMonitor("eno1, domain 0")
     state = messages.new_state()
