@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.robots.g1.dds import messages
 from adapters.robots.g1.joints import G1_29
 from station.protocols import FALL_TILT_RAD, Floats
 from station.rotations import tilt
@@ -88,8 +89,13 @@ class HealthMonitor:
         lean = self._lean()
         return f"the pelvis leans {np.degrees(lean):.0f} degrees" if lean > FALL_TILT_RAD else ""
 
-    def why_stand(self) -> str:
-        """Return why the robot has to stop what it does and stand, or ""."""
+    def why_stand(self, *, is_commanded: bool) -> str:
+        """Return why the robot has to stop what it does and stand, or "".
+
+        Args:
+            is_commanded: Whether it has been sent commands for a while: then a motor that says it gets none is ill.
+                Before, it says what is so; it was sent nothing.
+        """
         if self._newest is None:
             return ""
         motors = self._motors()
@@ -98,7 +104,7 @@ class HealthMonitor:
             if motors["temperature"][hottest, column] >= limit_c:
                 celsius = motors["temperature"][hottest, column]
                 return f"the {what} of {G1_29[hottest]} is at {celsius} °C, the limit is {limit_c:.0f}"
-        if error := self._error():
+        if error := self._error(0 if is_commanded else messages.TIMED_OUT):
             return error
         if self._soc is not None and self._soc < _SOC_TO_STAND:
             return f"the battery is at {self._soc:.0f} %"
@@ -139,7 +145,7 @@ class HealthMonitor:
         return f"{G1_29[fastest]} moves at {speeds[fastest]:.2f} rad/s" if speeds[fastest] > _SPEED_RAD_S else ""
 
     def _why_weak(self, now_s: float) -> str:
-        if why_stand := self.why_stand():
+        if why_stand := self.why_stand(is_commanded=False):
             return why_stand
         hottest = int(np.argmax(self._motors()["temperature"][:, 1]))
         if (celsius := self._motors()["temperature"][hottest, 1]) >= _COOL_C:
@@ -152,9 +158,9 @@ class HealthMonitor:
             return "the remote is off; switch it on: it is what stops the robot when all else fails"
         return ""
 
-    def _error(self) -> str:
+    def _error(self, ignored: int) -> str:
         for name, bits in zip(G1_29, self._motors()["error"].tolist(), strict=True):
-            if bits:
+            if bits & ~ignored:
                 return f"motor {name} reports the error 0x{bits:x}"
         return ""
 

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 SLOTS = 35
 """Motors in a message; a robot has fewer."""
 
+TIMED_OUT = 0x40000000
+"""Bit of a motor's error word: it gets no commands."""
+
 _BYTE = "u1"
 _MOTOR_STATE = np.dtype({
     "names": ["q", "dq", "ddq", "tau", "temperature", "voltage", "sensor", "error", "reserve", "next_mode"],

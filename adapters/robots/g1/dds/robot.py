@@ -34,6 +34,9 @@ FIRST_STEPS = 10
 ENTRY_S = 2.5
 """How long targets are blended from the measured pose after arming [s]."""
 
+COMMANDED_S = 1.0
+"""After so long of commands a motor that says it gets none is ill [s]."""
+
 GENTLE_S, GENTLE_RAD_S = 5.0, 0.9
 """For how long after arming no target moves faster than that: below 0.02 rad in a control period."""
 
@@ -195,7 +198,7 @@ class G1Dds:
 
     def why_stand(self) -> str:
         """Return why it has to stop what it does and stand, to be damped a moment later, or ""."""
-        return self._monitor.why_stand()
+        return self._monitor.why_stand(is_commanded=self._steps * self._dt_s > COMMANDED_S)
 
     def pop_actions(self) -> list[str]:
         """Return what was asked for on the remote since the last call, as its buttons are set to ask for it."""

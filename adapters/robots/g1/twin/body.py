@@ -91,6 +91,7 @@ class TwinBody:
         self.held = Held()
         self._winding_c = np.full(JOINTS, _ROOM_C)
         self._faults = G1Faults()
+        self._counts = np.ones(JOINTS)  # -1 of a joint that counts the other way round
         self._pushed = self._faults.push_m_s
         self.falls, self._is_down = 0, False
         self._yaw_rad = 0.0
@@ -122,6 +123,7 @@ class TwinBody:
     def change(self, faults: G1Faults) -> None:
         """Have other faults from now on."""
         self._faults = faults
+        self._counts = np.where([name in faults.reversed_joints for name in G1.joint_names], -1.0, 1.0)
         if faults.push_m_s != self._pushed:
             self._pushed = faults.push_m_s
             self._data.qvel[self._at.root_v[:2]] += faults.push_m_s
@@ -155,10 +157,10 @@ class TwinBody:
         for name, value in faults.winding_c.items():
             winding[G1.joint_names.index(name)] = value
         return Measured(
-            q=data.qpos[self._at.q] + faults.encoder_offset_rad * self._offsets,
-            dq=dq,
-            ddq=data.qacc[self._at.v],
-            tau=data.actuator_force[self._at.u],
+            q=self._counts * data.qpos[self._at.q] + faults.encoder_offset_rad * self._offsets,
+            dq=self._counts * dq,
+            ddq=self._counts * data.qacc[self._at.v],
+            tau=self._counts * data.actuator_force[self._at.u],
             quat_wxyz=seen,
             gyro=gyro + faults.gyro_bias_rad_s,
             accelerometer=rotate_inverse(quat, force),

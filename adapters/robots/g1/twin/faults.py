@@ -29,6 +29,7 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         without_commands: What the firmware does when they cease, which nobody knows: ``hold`` the last for ever,
             ``damp``, or go ``limp``.
         without_commands_after_s: How long after the last command it damps or goes limp [s].
+        commands_lost: No command reaches the motors, as when their writer has died; states come.
         link: ``up``; ``down``, nothing passes; ``frozen``, what is sent waits, and all of it comes at once afterwards.
         state_silent: The robot is on the network, and sends no state.
         tick_frozen: States come, and their tick stands still.
@@ -43,6 +44,8 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         yaw_drift_rad_s: How fast its yaw drifts [rad/s].
         gyro_bias_rad_s: Of each axis [rad/s].
         encoder_offset_rad: Greatest of a random offset of each joint [rad].
+        swapped_joints: What is sent to one joint moves the other, and the other way round, by pairs.
+        reversed_joints: They say the opposite of where they are and how they move.
         velocity_noise_rad_s: Standard deviation of joint velocities [rad/s].
         winding_c: Temperature of windings, by joint, in place of what the motor has warmed up to [°C].
         motor_error: Bits of ``motorstate``, by joint.
@@ -58,6 +61,7 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     controller: Literal["holds", "fights"] = "holds"
     without_commands: Literal["hold", "damp", "limp"] = "hold"
     without_commands_after_s: float = 2.0
+    commands_lost: bool = False
     link: Literal["up", "down", "frozen"] = "up"
     state_silent: bool = False
     tick_frozen: bool = False
@@ -75,6 +79,8 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     yaw_drift_rad_s: float = 0.0
     gyro_bias_rad_s: float = 0.0
     encoder_offset_rad: float = 0.0
+    swapped_joints: dict[str, str] = {}
+    reversed_joints: tuple[str, ...] = ()
     velocity_noise_rad_s: float = 0.0
     winding_c: dict[str, float] = {}
     motor_error: dict[str, int] = {}
@@ -86,13 +92,18 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     push_m_s: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        pairs = [name for pair in self.swapped_joints.items() for name in pair]
         for field, given, known in (
             ("remote", self.remote, BUTTONS),
+            ("swapped_joints", pairs, G1_29),
+            ("reversed_joints", self.reversed_joints, G1_29),
             ("winding_c", self.winding_c, G1_29),
             ("motor_error", self.motor_error, G1_29),
             ("hand_error", self.hand_error, _HAND_JOINTS),
         ):
             if odd := [name for name in given if name not in known]:
                 raise ValueError(f"{field}: {odd[0]!r} is none of {', '.join(known)}")
+        if len(set(pairs)) < len(pairs):
+            raise ValueError(f"swapped_joints: {max(pairs, key=pairs.count)!r} stands in it twice")
         if self.without_commands_after_s < 0.0:
             raise ValueError(f"without_commands_after_s is {self.without_commands_after_s:g}; expected 0 s or more")

@@ -14,14 +14,12 @@ import numpy as np
 
 from adapters.robots.g1.dds import messages, words
 from adapters.robots.g1.dds.remote import Sticks, remote_bytes
+from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.twin.body import JOINTS, Held
 from adapters.robots.g1.twin.faults import G1Faults
 
 OWN_CONTROLLER = "ai"
 """What the motion switcher calls the robot's own controller."""
-
-TIMED_OUT = 0x40000000
-"""Bit of ``motorstate``: the motor misses the computer."""
 
 CHECK, SELECT, RELEASE = 1001, 1002, 1003
 _NOT_IMPLEMENTED, _BAD_PARAMETER = 3203, 3204
@@ -53,12 +51,17 @@ class Firmware:
         self.refused: Counter[str] = Counter()
         self._faults = G1Faults()
         self._held = Held()
+        self._slots = list(range(JOINTS))  # of a command, by motor
         self._last_s = -math.inf
 
     def change(self, faults: G1Faults) -> None:
         """Have other faults from now on; buttons of the remote are pressed by them."""
         new = set(faults.remote) - set(self._faults.remote)
         self._faults = faults
+        self._slots = list(range(JOINTS))
+        for pair in faults.swapped_joints.items():
+            one, other = (G1_29.index(name) for name in pair)
+            self._slots[one], self._slots[other] = other, one
         held = set() if faults.remote_off else set(faults.remote)
         if held >= _DEBUG and new & _DEBUG:
             self._release()
@@ -78,7 +81,7 @@ class Firmware:
         enabled = messages.modes(record, JOINTS) == 1
         held = self._held
         for name in ("q", "dq", "tau", "kp", "kd"):
-            getattr(held, name)[:] = np.where(enabled, motors[name], 0.0)
+            getattr(held, name)[:] = np.where(enabled, motors[name], 0.0)[self._slots]
 
     def request(self, api: int, parameter: str) -> tuple[int, str]:
         """Answer a request to the motion switcher; return code and data."""

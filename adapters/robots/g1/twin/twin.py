@@ -17,7 +17,7 @@ from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.twin import hands
 from adapters.robots.g1.twin.body import JOINTS, STEP_S, TwinBody
 from adapters.robots.g1.twin.faults import G1Faults
-from adapters.robots.g1.twin.firmware import TIMED_OUT, Firmware
+from adapters.robots.g1.twin.firmware import Firmware
 from adapters.robots.g1.twin.neck import TwinNeck
 from adapters.robots.g1.twin.options import G1TwinOptions
 from station import assets
@@ -123,7 +123,7 @@ class G1Twin:
 
     def _hear(self) -> None:
         came = self._commands.take()
-        if self._faults.link == "down":
+        if self._faults.link == "down" or self._faults.commands_lost:
             return
         if self._faults.link == "frozen":
             self._waiting.extend(came)
@@ -171,7 +171,7 @@ class G1Twin:
         motors["q"], motors["dq"], motors["ddq"], motors["tau"] = measured.q, measured.dq, measured.ddq, measured.tau
         motors["temperature"][:, 0], motors["temperature"][:, 1] = measured.casing_c, measured.winding_c
         motors["voltage"] = self._faults.voltage
-        motors["error"] = TIMED_OUT if self.firmware.is_without_commands(self.now_s) else 0
+        motors["error"] = messages.TIMED_OUT if self.firmware.is_without_commands(self.now_s) else 0
         for name, bits in self._faults.motor_error.items():
             motors["error"][G1_29.index(name)] |= bits
         for name in ("q", "dq", "temperature", "error"):

@@ -97,7 +97,7 @@ def test_no_state_of_chance_ends_what_reads_it():
                 remote.update(np.ascontiguousarray(records["remote"]))
                 said = (
                     monitor.why_not_drive(number * 0.02),
-                    monitor.why_stand(),
+                    monitor.why_stand(is_commanded=True),
                     monitor.why_not_arm(number * 0.02),
                 )
                 assert all(isinstance(each, str) for each in said)

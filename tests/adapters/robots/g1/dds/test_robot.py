@@ -66,6 +66,18 @@ def test_r5_it_is_not_armed_unless_all_is_well(name):
         assert found.twin.firmware.accepted == 0, "before it was ever armed nothing is sent"
 
 
+def test_r5_motors_that_say_they_get_no_commands_may_be_armed_and_are_ill_once_they_get_some():
+    with bench(G1Faults(without_commands="damp", without_commands_after_s=0.5)) as found:
+        found.plug_in()
+        found.hang()
+        found.run(1.0)
+        assert [event for event in found.events if event[0] == "robot-has-to-stand"] == []
+        found.change(commands_lost=True)
+        found.run(1.0)
+        assert found.reason("robot-has-to-stand") == "motor left_hip_pitch reports the error 0x40000000"
+        assert found.control.arming.state == "disarmed"
+
+
 def test_r5_its_own_controller_has_to_let_go_first():
     with bench() as found:
         found.plug_in()
