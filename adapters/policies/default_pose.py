@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from station import registry
+from station.errors import ConfigError
 from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
 
 # An arm that is held out with the 40 N m/rad of most policies sags by 0.06 rad: so soft joints are held firmer here, up
@@ -21,17 +22,24 @@ class DefaultPosePolicy:
     Args:
         checkpoint: File of the other policy.
         of: Registered name of the other policy.
+        kp: Stiffness of every joint [N m/rad], for a first contact that should be soft; None for firm arms, and the
+            other policy's stiffness elsewhere.
+
+    Raises:
+        ConfigError: a stiffness that holds nothing.
     """
 
     CHECKPOINT = "builtin:tracker.onnx"
 
-    def __init__(self, checkpoint: Path, *, of: str = "tracker") -> None:
+    def __init__(self, checkpoint: Path, *, of: str = "tracker", kp: float | None = None) -> None:
+        if kp is not None and not (isinstance(kp, int | float) and 0.0 < kp < np.inf):
+            raise ConfigError(f"default-pose: kp is {kp!r}; expected more than 0 N m/rad")
         other: Policy = registry.find("policy", of)(checkpoint)
         pose = other.spec.default_q
         self._pose = pose.astype(np.float32)
-        kp = other.spec.kp
-        firm = np.where(kp < _FIRM_KP, np.minimum(_FIRM_KP, _FIRMER * kp), kp)
         size = len(pose)
+        its = other.spec.kp
+        firm = np.where(its < _FIRM_KP, np.minimum(_FIRM_KP, _FIRMER * its), its) if kp is None else np.full(size, kp)
         self.spec: PolicySpec = replace(
             other.spec, name="default-pose", kp=firm, runtime="numpy", observation_size=size, action_size=size
         )
