@@ -23,6 +23,8 @@
 #define WINDING_C 120
 #define CASING_C 85
 #define LEG_MOTORS 12
+#define TIMED_OUT 0x40000000u     // error bit of a motor that gets no commands: so it is while nothing is sent
+#define COMMANDED_NS (1000 * MS)  // after so long of commands such a motor is ill
 #define MOST_REFUSALS 3
 #define STOP_FRAMES 2
 #define FAR_OUTSIDE_RAD 3.0f  // policies command past a limit on purpose; this far is degrees, or garbage
@@ -111,13 +113,15 @@ void guard_on_state(struct guard *guard, int64_t now_ns, const struct robot_stat
 
 void guard_on_foreign(struct guard *guard, const struct foreign_writer *foreign) { guard->foreign = *foreign; }
 
-static enum reason heat_or_error(const struct robot_state *robot) {
+static enum reason heat_or_error(const struct guard *guard, int64_t now_ns) {
+    const struct robot_state *robot = &guard->robot;
     const uint32_t absent = absent_motors(robot->mode_machine);
+    const uint32_t ignored = is_live(guard) && now_ns - guard->armed_ns > COMMANDED_NS ? 0 : TIMED_OUT;
     for (int i = 0; i < MOTORS; ++i) {
         if (absent & MOTOR(i)) continue;
         if (robot->temperature[i][1] >= WINDING_C) return REASON_WINDING;
         if (robot->temperature[i][0] >= CASING_C) return REASON_CASING;
-        if (i < LEG_MOTORS && robot->error[i] != 0) return REASON_MOTOR_ERROR;
+        if (i < LEG_MOTORS && (robot->error[i] & ~ignored) != 0) return REASON_MOTOR_ERROR;
     }
     return REASON_NONE;
 }
@@ -134,7 +138,7 @@ static enum reason fault(const struct guard *guard, int64_t now_ns) {
     if (now_ns - guard->tick_ns > STATE_AGE_NS) return REASON_TICK;
     if (guard->foreign.is_there) return REASON_FOREIGN_WRITER;
     if (is_tilted(guard->robot.quat_wxyz)) return REASON_TILT;
-    return heat_or_error(&guard->robot);
+    return heat_or_error(guard, now_ns);
 }
 
 // ---- arming ----
@@ -157,7 +161,7 @@ static void become_armed(struct guard *guard, int64_t now_ns, uint64_t from) {
     guard->peer = from;
     guard->session = guard->challenge;
     guard->challenge = 0;
-    guard->command_ns = now_ns;
+    guard->armed_ns = guard->command_ns = now_ns;
     guard->has_seq = false;
     guard->refusals_in_row = 0;
     memset(&guard->sent, 0, sizeof guard->sent);

@@ -58,7 +58,7 @@ struct guard {
     uint64_t session;  // token of who armed
     uint32_t seq;
     bool has_seq;
-    int64_t command_ns;
+    int64_t armed_ns, command_ns;  // when it was armed; when a command last came
     struct targets wanted;
     int refusals_in_row;
 

@@ -96,7 +96,7 @@ OF_THE_WIRE = {
     "tilt": (lambda b: _set(b, "quat_wxyz", 0, value=(0.8, 0, 0.6, 0)), Reason.TILT),
     "winding": (lambda b: _set(b, "motors", "temperature", (0, 28, 1), value=120), Reason.WINDING),
     "casing": (lambda b: _set(b, "motors", "temperature", (0, 0, 0), value=85), Reason.CASING),
-    "motor error": (lambda b: _set(b, "motors", "error", (0, 3), value=0x40000000), Reason.MOTOR_ERROR),
+    "motor error": (lambda b: _set(b, "motors", "error", (0, 3), value=0x200), Reason.MOTOR_ERROR),
     "remote": (lambda b: _set(b, "remote", (0, slice(2, 4)), value=(0xFF, 0xFF)), Reason.REMOTE),
     "no states": (lambda b: setattr(b.robot, "is_sending", False), Reason.NO_STATE),
     "damaged states": (lambda b: setattr(b.robot, "is_signed", False), Reason.NO_STATE),

@@ -187,6 +187,18 @@ def test_what_is_no_fault_disturbs_nothing(rules, what):
     assert rules.status.state is State.ARMED
 
 
+def test_motors_that_say_they_get_no_commands_are_armed_and_are_a_fault_after_a_second_of_commands(rules):
+    rules.robot["error"][0, :] = messages.TIMED_OUT
+    rules.driven()
+    assert rules.status.state is State.ARMED
+    rules.run(780, rules.command)
+    assert rules.status.state is State.ARMED
+    rules.run(100, rules.command)
+    assert (rules.status.state, rules.status.reason) == (State.RAMPING, Reason.MOTOR_ERROR)
+    rules.run(400)
+    assert rules.arm().kind is Answer.ARMED
+
+
 def test_one_message_of_the_remote_is_not_believed(rules):
     rules.driven()
     for _ in range(20):
