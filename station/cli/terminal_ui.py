@@ -6,7 +6,7 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 
@@ -138,18 +138,29 @@ class TerminalUI:
 
     def confirm(self, sentence: str) -> bool:
         """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
+        hint = "y goes on; n, or Enter alone, takes the station down"
+        return _ANSWERS.get(self._answer(f"{sentence} [y/N]", _ANSWERS, hint) or "", False)
+
+    def ask(self, question: str, answers: Sequence[str]) -> str:
+        """Ask a person for one of some words; without one at the terminal, and when interrupted, it is ""."""
+        listed = {answer.lower(): answer for answer in answers}
+        given = self._answer(f"{question} [{'/'.join(answers)}]", listed, f"expected one of {', '.join(answers)}")
+        return listed.get(given or "", "")
+
+    def _answer(self, question: str, answers: Container[str], hint: str) -> str | None:
+        """Ask until the answer is one of some; None where nobody gives one."""
         self._end_footer()
         if not self._keyboard.is_there:
             self.report("nobody is here to answer; use --yes in simulation", "error")
-            return False
+            return None
         while True:
-            answer = self._keyboard.ask(f"? {sentence} [y/N] ({HINT}): ", self._stop).strip().lower()
+            answer = self._keyboard.ask(f"? {question} ({HINT}): ", self._stop).strip().lower()
             if self._stop.is_set():
                 self._echo("\n")
-                return False
-            if answer in _ANSWERS:
-                return _ANSWERS[answer]
-            self.report(f"{answer!r} is no answer: y goes on; n, or Enter alone, takes the station down", "warning")
+                return None
+            if answer in answers:
+                return answer
+            self.report(f"{answer!r} is no answer: {hint}", "warning")
 
     def show(self, health: list[Health]) -> None:
         """Begin the footer, which reads by itself how the servers are; without a screen print progress if brief."""

@@ -20,12 +20,15 @@ from station.errors import ConfigError, StationError, UsageError, did_you_mean
 from station.life import arm_request, controller_request, policy_request, twin_request
 from station.life.server import ServerKind
 from station.supervision.checks import KINDS, Check
+from station.supervision.measure import Measure
 
 IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
+_ANSWER = re.compile(r"[A-DF-Za-df-z0-9][A-Za-z0-9_-]*")
 _SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release-motors", "twin")
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release-motors", "twin", "measure",
+               "ask")  # fmt: skip
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -140,6 +143,35 @@ class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
         return f"confirm: {self.confirm}"
 
 
+class QuestionStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A question that a person answers with one of some words, which is kept."""
+
+    ask: str
+    answers: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.answers) < 2:
+            raise ValueError(f"answers: expected two words at least, got {len(self.answers)}")
+        for word in self.answers:
+            if not _ANSWER.fullmatch(word):
+                raise ValueError(
+                    f"answers: {word!r} cannot be typed: expected letters, digits, - and _, and no e at its beginning, "
+                    "since SPACE and e are the emergency stop"
+                )
+
+    def __str__(self) -> str:
+        return f"ask: {self.ask}"
+
+
+class MeasureStep(msgspec.Struct, frozen=True, kw_only=True):
+    """What a stream says for a while is measured, compared with what is expected, and kept."""
+
+    what: Measure
+
+    def __str__(self) -> str:
+        return str(self.what)
+
+
 class NoteStep(msgspec.Struct, frozen=True, kw_only=True):
     """A sentence that is shown and recorded."""
 
@@ -172,7 +204,7 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
         return f"start {self.start} {kind}{_chosen(self.config)}".rstrip()
 
 
-Step = CheckStep | ConfirmStep | NoteStep | StartStep
+Step = CheckStep | ConfirmStep | MeasureStep | NoteStep | QuestionStep | StartStep
 
 
 class Runbook(msgspec.Struct, frozen=True, kw_only=True):
@@ -309,9 +341,12 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
         return _start(raw, changes, where)
     if kind == "check":
         return _check(raw, where)
-    if kind in ("confirm", "note"):
-        of_words: type[ConfirmStep | NoteStep] = ConfirmStep if kind == "confirm" else NoteStep
-        return config.build(of_words, raw, where=where)
+    if kind == "measure":
+        return _measure(raw, where)
+    if isinstance(answers := raw.get("answers"), list):  # yes and no are true and false to YAML
+        raw = {**raw, "answers": [("yes" if a else "no") if isinstance(a, bool) else a for a in answers]}
+    if kind in _OF_WORDS:
+        return config.build(_OF_WORDS[kind], raw, where=where)
     return _asked(raw, kind, where)
 
 
@@ -353,6 +388,24 @@ def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
     arguments = {key: value for key, value in raw.items() if key != "check"}
     what: Any = config.build(KINDS[name], arguments, where=f"{where} (check {name})")
     return CheckStep(check=name, what=what)
+
+
+_OF_WORDS: dict[str, type[ConfirmStep | NoteStep | QuestionStep]] = {
+    "confirm": ConfirmStep, "note": NoteStep, "ask": QuestionStep,
+}  # fmt: skip
+
+
+def _measure(raw: Mapping[str, Any], where: str) -> MeasureStep:
+    known = ("measure", "stream", "for", "expect", "follows", "after_commands", "if_not")
+    for key in raw:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    for key in ("stream", "for"):
+        if key not in raw:
+            raise ConfigError(f"{where} (measure): missing key {key}")
+    values = {key: value for key, value in raw.items() if key != "for"}
+    values["for_s"] = config.seconds(raw["for"], where=f"{where}: for")
+    return MeasureStep(what=config.build(Measure, values, where=f"{where} (measure)"))
 
 
 _ASKED: dict[str, tuple[Any, tuple[str, ...]]] = {

@@ -19,12 +19,22 @@ from station.episode.storage.request import RecordAnswer
 from station.errors import BusError, ConfigError, NotReady, Refused, StationError
 from station.life import arm_request
 from station.life.event_feed import EventFeed
+from station.life.events import Event
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
 from station.supervision.checks import DiskCheck
 from station.supervision.disk_need import DiskNeed, disk_need
 from station.supervision.exit_policy import ExitPolicy
-from station.supervision.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
+from station.supervision.figures import Figure, table
+from station.supervision.runbook import (
+    CheckStep,
+    ConfirmStep,
+    MeasureStep,
+    QuestionStep,
+    Runbook,
+    StartStep,
+    Step,
+)
 from station.supervision.session_ui import SessionUI
 from station.supervision.stop_memory import StopMemory
 from station.supervision.supervisor import NAME, Supervisor, how_it_ended
@@ -34,7 +44,7 @@ _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one no
 _RECORDER = "recorder"
 _UNATTENDED = "--yes"
 _TOLD_OTHERWISE = (  # with more, by the session itself
-    "record-start", "server-failed", "server-crashed", "server-died", "server-silent",
+    "record-start", "measured", "answered", "server-failed", "server-crashed", "server-died", "server-silent",
 )  # fmt: skip
 _INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
 
@@ -141,14 +151,14 @@ class Session:
         for step in self._runbook.steps:
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
-            self._run_step(step, memory, stop)
+            self._run_step(step, feed, memory, stop)
             self._print_events(feed)
 
-    def _run_step(self, step: Step, memory: StopMemory, stop: threading.Event) -> None:
+    def _run_step(self, step: Step, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
         self._ui.begin(str(step))
         try:
             self._hold(memory, stop)
-            result = self._result(step, memory, stop)
+            result = self._result(step, feed, memory, stop)
         except StationError:
             self._ui.failed(self._to_blame(step), "stopped" if stop.is_set() else "failed")
             raise
@@ -177,7 +187,7 @@ class Session:
         self._ui.report("the emergency stop is released", "warning")
         return True
 
-    def _result(self, step: Step, memory: StopMemory, stop: threading.Event) -> str:
+    def _result(self, step: Step, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> str:
         if isinstance(step, StartStep):
             return self._start(step, stop)
         if isinstance(step, CheckStep):
@@ -189,6 +199,10 @@ class Session:
             return self._record_answer(step, found, who="station")
         if isinstance(step, ConfirmStep):
             return self._confirm(step, memory, stop)
+        if isinstance(step, QuestionStep):
+            return self._ask(step, memory, stop)
+        if isinstance(step, MeasureStep):
+            return self._measure(step, feed, memory, stop)
         return self._record_answer(step, "shown", who="station")
 
     def _disk_need(self) -> DiskNeed:
@@ -237,7 +251,66 @@ class Session:
             if not self._hold(memory, stop):  # what was confirmed before a stop has to be seen again after it
                 return self._record_answer(step, "yes", who=getpass.getuser())
 
-    def _record_answer(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
+    def _ask(self, step: QuestionStep, memory: StopMemory, stop: threading.Event) -> str:
+        answer, who, is_held = "not asked", _UNATTENDED, not self._is_unattended
+        while is_held:
+            answer, who = self._ui.ask(step.ask, step.answers), getpass.getuser()
+            if not answer:
+                raise NotReady(f"not answered: {step.ask}")
+            is_held = self._hold(memory, stop)
+        self._supervisor.publish("answered", "info", question=step.ask, answer=answer, who=who)
+        return self._record_answer(step, answer, who=who)
+
+    def _measure(self, step: MeasureStep, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> str:
+        """Measure, show what came of it, and keep that.
+
+        Raises:
+            NotReady: something is not as expected, or it could not be measured.
+        """
+        measure, faults = step.what, list[Event]()
+
+        def meanwhile(elapsed_s: float) -> list[Event]:
+            if stop.is_set():
+                raise NotReady("asked to stop while it was measured")
+            if memory.is_stopped:
+                raise NotReady(f"{memory.latched()}; it was pressed while it was measured")
+            for dead, code in self._supervisor.ended().items():
+                words = self._supervisor.last_words(dead)
+                raise NotReady(f"server {dead!r} {how_it_ended(code)} while it was measured: {words}")
+            happened = self._print_events(feed)
+            faults.extend(event for event in happened if event.severity == "error")
+            self._ui.begin(f"{step}  {elapsed_s:.0f} of {measure.for_s:g} s")
+            return happened
+
+        found = measure.run(self._bus, self._robots(), meanwhile)
+        if measure.after_commands is None:  # there a fault is what is waited for
+            told = "; ".join(map(str, faults)) or "none"
+            found.append(Figure(name="faults", text=told, expected="none" if faults else "", is_good=not faults))
+        bad = [figure for figure in found if not figure.is_good]
+        for line, figure in zip(table(found), found, strict=True):
+            self._ui.report(line, "info" if figure.is_good else "error")
+        figures = [msgspec.to_builtins(figure) for figure in found]
+        self._supervisor.publish("measured", "warning" if bad else "info", what=measure.measure, figures=figures)
+        self._record_answer(step, "; ".join(f"{figure.name}: {figure.text}" for figure in found), who="station")
+        if bad and measure.if_not == "stop":
+            first, *others = bad
+            beside = f"; nor are {', '.join(figure.name for figure in others)}" if others else ""
+            raise NotReady(
+                f"{measure.measure}: {first.name} is not as expected ({first.expected}): {first.text}{beside}; look at "
+                "it before you go on (`if_not: continue` in the runbook goes on all the same)"
+            )
+        if bad:
+            return f"not as expected: {', '.join(figure.name for figure in bad)}; goes on"
+        return "as expected" if any(figure.expected for figure in found) else "kept"
+
+    def _robots(self) -> list[str]:
+        """Return the names of the robots that it drives."""
+        named = [self._runbook.robot] if self._runbook.robot else []
+        with contextlib.suppress(NotReady):
+            named += arm_request.robots_of(self._bus).values()
+        return list(dict.fromkeys(named))
+
+    def _record_answer(self, step: Step, answer: str, *, who: str) -> str:
         self.answers.append(
             Answer(
                 step=str(step), answer=answer, who=who, wall_ns=self._clock.wall_ns(), is_unattended=who == _UNATTENDED
@@ -250,14 +323,17 @@ class Session:
         for step in self._runbook.servers:
             if step.start in self._supervisor.children:
                 self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
-        runbook: dict[str, Any] = {
+        self.episode = remote.ask(self._bus, "start", runbook=self._told(), **msgspec.to_builtins(recording))
+        self._is_recording = True
+        self._ui.report(f"recording {self.episode.path}")
+
+    def _told(self) -> dict[str, Any]:
+        """Return what a manifest says of the runbook."""
+        return {
             "name": self._runbook.name,
             "answers": msgspec.to_builtins(self.answers),
             "text": self._runbook.text,
         }
-        self.episode = remote.ask(self._bus, "start", runbook=runbook, **msgspec.to_builtins(recording))
-        self._is_recording = True
-        self._ui.report(f"recording {self.episode.path}")
 
     def _watch_over(
         self, feed: EventFeed, memory: StopMemory, stop: threading.Event, for_s: float | None
@@ -276,12 +352,15 @@ class Session:
                 return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
         return "stopped", int(self._exit_policy.are_open)
 
-    def _print_events(self, feed: EventFeed) -> None:
+    def _print_events(self, feed: EventFeed) -> list[Event]:
+        """Show what happened since the last call, and return it."""
         for event in self._supervisor.publisher.recent:
             feed.add(event)
-        for event in feed.pop():
+        found = list(feed.pop())
+        for event in found:
             if event.name not in _TOLD_OTHERWISE:
                 self._ui.report(f"{event.source}: {event}", event.severity)
+        return found
 
     def _restate_stop(self, memory: StopMemory) -> None:
         with contextlib.suppress(BusError):  # it is gone again; the next look tries again
@@ -335,6 +414,6 @@ class Session:
             return
         self._ui.begin("close the episode")
         try:
-            self.episode = remote.ask(self._bus, "stop")
+            self.episode = remote.ask(self._bus, "stop", runbook=self._told())
         except StationError as error:
             self._ui.report(f"the episode was not closed here: {error}", "warning")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from station.life.events import Severity
@@ -34,6 +35,10 @@ class SessionUI(Protocol):
 
     def confirm(self, sentence: str) -> bool:
         """Ask a person; whether the answer was yes."""
+        ...
+
+    def ask(self, question: str, answers: Sequence[str]) -> str:
+        """Ask a person for one of some words; "" where nobody answers."""
         ...
 
     def offer(self, restart: str) -> None:

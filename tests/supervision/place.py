@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +26,7 @@ class Person:
     """Answers as told, and remembers what was shown."""
 
     answer: bool = True
+    word: str = ""
     asked: Callable[[], None] = lambda: None
     told: list[str] = field(default_factory=list)
     shown: list[list[Health]] = field(default_factory=list)
@@ -49,6 +50,11 @@ class Person:
         self.told.append(f"asked {sentence}")
         self.asked()
         return self.answer
+
+    def ask(self, question: str, answers: Sequence[str]) -> str:
+        self.told.append(f"asked {question} {'/'.join(answers)}")
+        self.asked()
+        return self.word
 
     def offer(self, restart: str) -> None:
         self.offered, self.wants_restart = restart, False  # a key that was pressed before does not count

@@ -10,7 +10,16 @@ from servers.motion import MotionConfig
 from station.errors import BadFile, ConfigError, StationError, UsageError
 from station.supervision import runbook
 from station.supervision.checks import DiskCheck
-from station.supervision.runbook import Arming, CheckStep, ConfirmStep, StartStep, TakingOver
+from station.supervision.figures import Bounds
+from station.supervision.runbook import (
+    Arming,
+    CheckStep,
+    ConfirmStep,
+    MeasureStep,
+    QuestionStep,
+    StartStep,
+    TakingOver,
+)
 
 GOOD = """
 runbook: test
@@ -70,6 +79,64 @@ def test_a_step_has_another_policy_of_a_server_before_it_take_over(tmp_path: Pat
         ConfigError, match=r"step 5: policy stif \(did you mean 'stiff'\?\): .*; by then: stiff, tracker$"
     ):
         load(tmp_path, GOOD.replace("  - note", f"{g1}  - policy: stif\n  - note"))
+
+
+def test_a_measurement_and_a_question_come_out_typed(tmp_path: Path) -> None:
+    more = """  - measure: "it is cool"
+    stream: state_samples
+    for: 2min
+    expect: {rate: {least: 499, most: 501}, "*_winding": {most: 70}}
+    if_not: continue
+  - ask: "Is it limp?"
+    answers: [yes, no, half]
+  - note"""
+    *_, measure, question, _ = load(tmp_path, GOOD.replace("  - note", more)).steps
+    assert isinstance(measure, MeasureStep)
+    assert (measure.what.for_s, measure.what.if_not) == (120.0, "continue")
+    assert measure.what.expect == {"rate": Bounds(least=499.0, most=501.0), "*_winding": Bounds(most=70.0)}
+    assert question == QuestionStep(ask="Is it limp?", answers=("yes", "no", "half"))
+    assert [str(step) for step in (measure, question)] == ["measure: it is cool", "ask: Is it limp?"]
+
+
+MEASURE = "  - measure: cool\n    stream: state_samples\n    for: 2s\n"
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        (MEASURE.replace("2s", "0s"), "step 4 (measure): for is 0 s; expected more than 0"),
+        (MEASURE.replace("2s", "soon"), "step 4: for: expected a duration such as 20s, 500ms or 2min, got 'soon'"),
+        (MEASURE.replace("    for: 2s\n", ""), "step 4 (measure): missing key for"),
+        (MEASURE.replace("stream", "straem"), "step 4: unknown key 'straem' (did you mean 'stream'?)"),
+        (MEASURE + "    expect: {rate: {leat: 4}}\n", "unknown key 'leat' (did you mean 'least'?)"),
+        (MEASURE + "    expect: {rate: {least: 4, most: 3}}\n", "least is 4 and most is 3; expected the smaller one"),
+        (MEASURE + "    expect: {rate: fast}\n", "step 4 (measure): expect"),
+        (
+            MEASURE + "    follows: target\n    expect: {ledd: {least: 4}}\n",
+            "expect: 'ledd' is no figure here (did you mean 'led'?); known: rate, led",
+        ),
+        (
+            MEASURE + "    after_commands: {torque: a, speed: b}\n    expect: {led: {least: 4}}\n",
+            "expect: 'led' is no figure here; known: rate, after",
+        ),
+        (MEASURE + "    after_commands: {torque: a}\n", "step 4 (measure): after_commands: missing key speed"),
+        (
+            MEASURE + "    follows: x\n    after_commands: {torque: a, speed: b}\n",
+            "expected one of them; give the other",
+        ),
+        (MEASURE + "    if_not: go\n", "if_not: expected continue or stop, got 'go'"),
+        ("  - ask: limp?\n", "step 4: missing key answers"),
+        ("  - ask: limp?\n    answers: [limp]\n", "step 4: answers: expected two words at least, got 1"),
+        ("  - ask: limp?\n    answers: [limp, else]\n", "answers: 'else' cannot be typed: expected letters, digits"),
+        ("  - ask: limp?\n    answers: [limp, a bit]\n", "since SPACE and e are the emergency stop"),
+    ],
+)
+def test_a_mistake_in_a_measurement_or_a_question_is_one_line(tmp_path: Path, step: str, message: str) -> None:
+    with pytest.raises(StationError) as caught:
+        load(tmp_path, GOOD.replace("  - note", f"{step}  - note"))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
 
 
 def test_what_moves_a_robot_asks_before_it_starts_again_and_a_recorder_does_not_unless_told_otherwise(

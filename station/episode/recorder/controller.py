@@ -261,6 +261,7 @@ class RecorderController:
         take = self._present("stop")
         if request.success is not None:
             take.manifest.quality_flags.success = request.success
+        take.manifest.runbook = request.runbook or take.manifest.runbook
         take.end_ids.append(request.id)
         self._end(take, "stop", mono_ns)
 

@@ -26,7 +26,8 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
             between episodes, the last one. Discarding sets a flag; it never deletes.
         task, instruction: For ``start``: short name of the task, and what to do in words.
         operator: For ``start``: ``interface``, ``id``, and anything else worth keeping.
-        runbook: For ``start``: steps and answers of the runbook.
+        runbook: For ``start``: steps and answers of the runbook; for ``stop``: the same with all answers that there
+            are by then.
         planned_s: For ``start``: how long it is to be [s]; refused where the disk cannot hold that. None for what the
             recorder's configuration says, which is a minute.
         leave_out: For ``start``: keys that the episode does without, or beginnings of keys up to a ``_``, beside those

@@ -61,11 +61,14 @@ class Bench:
     robot: G1Dds
     control: ControlStep
 
-    def __init__(self, number: int, faults: G1Faults, twin: dict[str, Any], robot: dict[str, Any]) -> None:
+    def __init__(
+        self, number: int, faults: G1Faults, twin: dict[str, Any], robot: dict[str, Any], policies: dict[str, Policy]
+    ) -> None:
         self.clock = SimulatedTime()
         self.faults, self.domain = faults, number
         self.twin = G1Twin(G1TwinOptions(domain=number, **twin), faults)
-        self.policies = PolicySwitch(_policies(), period_s=PERIOD_S)
+        self._each = list(policies.values())
+        self.policies = PolicySwitch(policies, period_s=PERIOD_S)
         self.events: list[tuple[str, str]] = []
         self.records: list[StepRecord] = []
         self.command: CommandSample | None = None
@@ -74,7 +77,7 @@ class Bench:
 
     def plug_in(self) -> None:
         """Open the real robot's adapter, and put a control step over it."""
-        for policy in _policies().values():
+        for policy in self._each:
             policy.reset()
         self.advance(20)
         self.robot = G1Dds(G1DdsOptions(domain=self.domain, **self._options), PERIOD_S, self.clock)
@@ -153,10 +156,13 @@ class Bench:
 
 
 @contextmanager
-def bench(faults: G1Faults | None = None, *, twin: dict[str, Any] | None = None, **robot: Any) -> Iterator[Bench]:
+def bench(
+    faults: G1Faults | None = None, *, twin: dict[str, Any] | None = None, policies: dict[str, Policy] | None = None,
+    **robot: Any,
+) -> Iterator[Bench]:  # fmt: skip
     """Have both sides on a network of their own."""
     with domain() as number:
-        found = Bench(number, faults or G1Faults(), twin or {}, robot)
+        found = Bench(number, faults or G1Faults(), twin or {}, robot, policies or _policies())
         try:
             yield found
         finally:
