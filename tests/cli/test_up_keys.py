@@ -118,6 +118,22 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
         assert terminal.settings() == terminal.before, "the terminal is as it was"
 
 
+def test_a_question_takes_one_of_its_words_and_a_measurement_shows_how_far_it_is(home: Home, tmp_path: Path) -> None:
+    question = "  - ask: How is the arm?\n    answers: [limp, stiff]\n"
+    measure = "  - measure: the commands\n    stream: action_body\n    for: 60s\n    expect: {rate: {least: 1}}\n"
+    with AtTerminal(home, "up", written(tmp_path, question + MOTION + measure)) as terminal:
+        asked = terminal.wait_for("? How is the arm? [limp/stiff]")
+        terminal.type(b"soft\n")
+        again = terminal.wait_for("'soft' is no answer: expected one of limp, stiff", asked)
+        terminal.wait_for("? How is the arm?", again)
+        terminal.type(b"limp\n")
+        answered = terminal.wait_for("ask: How is the arm?", again)
+        measuring = terminal.wait_for("measure: the commands  1 of 60 s", answered)
+        terminal.type(b"\x03")
+        terminal.wait_for("stopped: asked to stop while it was measured", measuring)
+        assert terminal.finish() == 130
+
+
 def test_keys_drive_from_this_terminal_and_space_stops_here_too(home: Home, tmp_path: Path) -> None:
     teleop = "  - start: teleop\n    with: {device: keyboard, driver: walk}\n    ready_within: 60s\n"
     with AtTerminal(home, "up", written(tmp_path, G1 + ASK + "  - start: keyboard\n" + teleop)) as terminal:
