@@ -14,6 +14,8 @@ from station.supervision import joint_response
 from station.supervision.figures import Bounds, Figure, number
 from station.supervision.measure import AFTER, LED, RATE, AfterCommands, Measure, of_pattern
 
+_WORD = 1 << 16  # a smaller one is read as a number
+
 
 class Taker(Protocol):
     """Takes writes one after the other."""
@@ -68,10 +70,11 @@ class Spread:
         low, high = chosen[np.argmin(self.least[chosen])], chosen[np.argmax(self.most[chosen])]
         least, most, mean = float(self.least[low]), float(self.most[high]), float(self._sum[chosen].mean() / self.rows)
         unit = f" {elements[low].unit}".rstrip()
-        text = f"{least:.4g}{unit}"
+        text = f"{_shown(least, unit)}{unit}"
         if least != most:
             ends = [
-                f"{end:.4g}" + f" ({elements[at].name})" * (len(which) > 1) for end, at in ((least, low), (most, high))
+                _shown(end, unit) + f" ({elements[at].name})" * (len(which) > 1)
+                for end, at in ((least, low), (most, high))
             ]
             text = f"{' to '.join(ends)}, mean {mean:.4g}{unit}"
         return Figure(
@@ -79,6 +82,12 @@ class Spread:
             numbers={"least": least, "least_at": elements[low].name, "mean": mean, "most": most,
                      "most_at": elements[high].name},
         )  # fmt: skip
+
+
+def _shown(value: float, unit: str) -> str:
+    """Return a number, or the bits of a large whole one that has no unit."""
+    is_word = not unit and value >= _WORD and value.is_integer()
+    return f"{int(value):#x}" if is_word else f"{value:.4g}"
 
 
 class _Spreads:

@@ -158,6 +158,14 @@ def test_a_spread_says_whose_the_extremes_are_and_no_number_is_never_good() -> N
     assert not spread.figure("*_winding", [0, 1], PAIR, Bounds()).is_good
 
 
+def test_bits_of_an_error_are_shown_as_such() -> None:
+    spread = Spread(2)
+    spread.add(np.array([[0.0, float(0x40000001)]]))
+    figure = spread.figure("*_error", [0, 1], elements((("knee_error", "hip_error"), "")), Bounds(most=0.0))
+    assert figure.text.startswith("0 (knee_error) to 0x40000001 (hip_error), mean ")
+    assert not figure.is_good
+
+
 def test_figures_are_shown_as_a_table() -> None:
     figures = [number("rate", 499.96, "Hz", Bounds(least=499.0, most=501.0)), Figure(name="motors", text="limp")]
     assert table(figures) == ["  rate    500 Hz  as expected: 499 to 501", "  motors  limp"]
