@@ -297,9 +297,10 @@ bool guard_on_datagram(struct guard *guard, int64_t now_ns, const uint8_t *data,
 
 // ---- what is sent ----
 
-static void follow(struct guard *guard) {
+static void follow(struct guard *guard, int64_t since_ns) {
+    const float seconds = (float)(since_ns < PERIOD_NS ? since_ns : PERIOD_NS) * 1e-9f;
     for (int i = 0; i < MOTORS; ++i) {
-        const float most = JOINT_LIMITS[i].speed_rad_s * (float)PERIOD_NS * 1e-9f;
+        const float most = JOINT_LIMITS[i].speed_rad_s * seconds;
         guard->sent.q[i] += clamp(guard->wanted.q[i] - guard->sent.q[i], -most, most);
         guard->sent.kp[i] = guard->wanted.kp[i];
         guard->sent.kd[i] = guard->wanted.kd[i];
@@ -346,9 +347,10 @@ bool guard_step(struct guard *guard, int64_t now_ns, struct motor_command *out) 
     const int64_t late_us = (now_ns - guard->step_ns - PERIOD_NS) / 1000;
     if (late_us > guard->max_late_us) guard->max_late_us = (uint32_t)late_us;
     decide(guard, now_ns);
+    const int64_t since_ns = now_ns - guard->step_ns;
     guard->step_ns = now_ns;
     if (guard->state == STATE_WAITING || !guard->has_robot) return false;  // whose mode_machine is not known
-    if (guard->state == STATE_ARMED) follow(guard);
+    if (guard->state == STATE_ARMED) follow(guard, since_ns);
     if (guard->state == STATE_RAMPING || guard->state == STATE_DAMPING) ramp(guard, now_ns);
     fill(guard, out);
     ++guard->sent_count;

@@ -280,8 +280,23 @@ static void tick(struct guard *guard, int sock, long count) {
     send_answer(sock, to, &status);
 }
 
+static void sleep_until(int64_t at_ns) {
+    const struct timespec at = {.tv_sec = at_ns / 1000000000LL, .tv_nsec = at_ns % 1000000000LL};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR) {}
+}
+
+// Whether a datagram came before an instant.
+static bool is_asked_before(int64_t at_ns, int sock) {
+    struct pollfd asked = {.fd = sock, .events = POLLIN};
+    const int64_t left_ns = at_ns - now_ns();
+    const struct timespec left = {.tv_sec = left_ns / 1000000000LL, .tv_nsec = left_ns % 1000000000LL};
+    return left_ns > 0 && ppoll(&asked, 1, &left, NULL) == 1;
+}
+
+// A step every period. A command does not wait for the next: it begins a period, and not again before one without.
 static void run(struct guard *guard, int sock, uint8_t *armed_flag) {
     int64_t next_ns = now_ns();
+    bool is_early = false;
     for (long count = 0; !guard_is_done(guard, now_ns()); ++count) {
         tick(guard, sock, count);
         *(volatile uint8_t *)armed_flag = guard->state != STATE_WAITING;
@@ -289,8 +304,9 @@ static void run(struct guard *guard, int sock, uint8_t *armed_flag) {
         atomic_store(&told_reason, guard->reason);
         next_ns += PERIOD_NS;
         if (next_ns < now_ns()) next_ns = now_ns();  // what was missed is not caught up with
-        const struct timespec next = {.tv_sec = next_ns / 1000000000LL, .tv_nsec = next_ns % 1000000000LL};
-        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &next, NULL) == EINTR) {}
+        is_early = !is_early && is_asked_before(next_ns, sock);
+        if (is_early) next_ns = now_ns();
+        else sleep_until(next_ns);
     }
     *(volatile uint8_t *)armed_flag = 0;
 }

@@ -279,6 +279,21 @@ def test_a_command_is_sent_as_it_is_every_2_ms(rules):
         assert (each.command["kd"] == 2).all()
 
 
+def test_a_step_that_a_command_brings_early_moves_a_target_by_no_more_than_its_time_allows(rules):
+    rules.driven()
+    far = rules.sent[-1].command["q"].astype(float) + 0.5
+    rules.datagram(rules.command(q=far))
+    rules.step()
+    rules.now_ms += 1
+    rules.step()
+    rules.now_ms += 2
+    rules.step()
+    before, at_once, early, whole = (each.command["q"][15].astype(float) for each in rules.sent[-4:])
+    assert at_once == before, "no time went by"
+    assert (whole - early) == pytest.approx(2.0 * (early - at_once), rel=1e-3)
+    assert early > at_once
+
+
 def test_positions_are_clamped_to_the_range_and_the_speed_of_their_joints(rules):
     rules.driven()
     for sign, end in ((1, upper(G1_29)), (-1, lower(G1_29))):
