@@ -49,10 +49,12 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     Args:
         life: The server's.
         control: The step.
-        state_values: Makes the values that are published at the start of a tick; there may be none.
+        state_values: Makes the values that tell of the state; there may be none.
         result_values: Makes those that are published after a step, with the answer to the last request to arm.
         period_s: Control period [s].
         requests: Keys of further requests to this robot, and what does them; called in the loop, between ticks.
+        acts_first: Whether a state is published once the robot was sent what it led to, half a millisecond earlier. A
+            simulation publishes it at the start of a tick, before its physics.
     """
 
     def __init__(
@@ -64,10 +66,11 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         result_values: Callable[[RecordT, ArmAnswer | None], Mapping[str, bytes]],
         period_s: float,
         requests: Mapping[str, Callable[[Asked], None]] | None = None,
+        acts_first: bool = False,
     ) -> None:
         self._life, self._control, self._clock = life, control, life.clock
         self._state_values, self._result_values = state_values, result_values
-        self._period_s, self._requests = period_s, dict(requests or {})
+        self._period_s, self._requests, self._acts_first = period_s, dict(requests or {}), acts_first
         self._paths = control.commanded.paths
         self._watches, self._receivers = list[CommandWatch](), list[CommandReceiver]()
         for path in self._paths:
@@ -177,7 +180,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _sense(self) -> StateT:
         state = self._control.sense()
-        self._publish(self._state_values(state))
+        if not self._acts_first:
+            self._publish(self._state_values(state))
         return state
 
     def _is_asked(self) -> bool:
@@ -258,7 +262,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
                 path.refuse_rivals(refused, receiver.writers.refusal)
             path.heard_all(*receiver.heard_s)
         record = self._control.step(state, command, now_s)
-        self._publish(self._result_values(record, self._arm_answer))
+        of_state = self._state_values(state) if self._acts_first else {}
+        self._publish({**of_state, **self._result_values(record, self._arm_answer)})
         for step_event in record.step_events:
             self._publish_step(step_event)
         for path, receiver in zip(self._paths, self._receivers, strict=True):

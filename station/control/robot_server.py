@@ -165,6 +165,7 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
             ),
             period_s=rig.period_s,
             requests={keys.POLICY: requests.on_request, keys.CONTROLLER: releases.on_request},
+            acts_first=control.checks is not None,
         ) as loop:
             life.configured(facts(config, life.name, rig))
             if not life.ready():

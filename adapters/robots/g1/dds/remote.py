@@ -48,10 +48,14 @@ class Remote:
         self.sticks = Sticks(0.0, 0.0, 0.0, 0.0)
         self.is_on = False
         self._bits = self._last = 0
+        self._settled = b""  # the newest message, where another of its kind changes nothing
         self._pressed: list[str] = []
 
     def update(self, remotes: NDArray[np.uint8]) -> None:
         """Take the bytes of messages, oldest first, shape (k, 40); those with another head do not count."""
+        newest = remotes[-1].tobytes()
+        if newest == self._settled and (remotes == remotes[-1]).all():
+            return  # nothing is touched, as most of the time
         self.is_on = bool(remotes[-1].any())
         heads, bits = remotes[:, :2].view("<u2")[:, 0].tolist(), remotes[:, 2:4].view("<u2")[:, 0].tolist()
         for head, came in zip(heads, bits, strict=True):
@@ -62,6 +66,7 @@ class Remote:
                 self._change(both)
         left_x, right_x, right_y, _, left_y = remotes[-1].view("<f4")[1:6].tolist()
         self.sticks = Sticks(left_x, left_y, right_x, right_y)
+        self._settled = newest if self._bits == self._last else b""
 
     def _change(self, bits: int) -> None:
         held = frozenset(name for number, name in enumerate(BUTTONS) if bits >> number & 1)
