@@ -18,7 +18,7 @@ from station.episode.reading import steps as recorded
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
-from station.episode.reading.vectors import fitting
+from station.episode.reading.vectors import decoder, fitting
 from station.errors import EpisodeError, UnknownName
 from station.printable import printable
 from station.protocols import Floats
@@ -37,13 +37,15 @@ class Steps:
     """The n policy steps of one robot in order: row k of every part belongs to step k.
 
     A part has no columns where the recording holds nothing of it, such as the observation of an arm without a policy.
-    A row is NaN where its step holds no value of that part, or one that does not fit.
+    A row is NaN where its step holds no value of that part, or one that does not fit. Where policies took over from each
+    other whose observations have different lengths, shorter ones have NaN behind their last number.
 
     Attributes:
         robot: The robot.
         time_s: When the results of each step were written, from the start of the episode, shape (n,) [s].
         number: The writer's number of each step, int64, shape (n,); consecutive steps of one process differ by one.
         gate: State of the gate in each step, such as ``tracking``, shape (n,); "" where none was recorded.
+        policy: Name of the policy that drove in each step, shape (n,); "" where the robot has but one.
         command: The command that the policy got, after the gate.
         state: The newest state of the robot that its process had written before.
         observation: Input of the network.
@@ -58,6 +60,7 @@ class Steps:
     time_s: Floats
     number: Ints
     gate: NDArray[np.str_]
+    policy: NDArray[np.str_]
     command: Table
     state: Table
     observation: Table
@@ -92,11 +95,11 @@ class Steps:
         return polars_frame(self.time_s, self.columns())
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return ``number``, ``gate``, and every column of every part as ``part.name``, each of shape (n,)."""
+        """Return ``number``, ``gate``, ``policy``, and each column of each part as ``part.name``, of shape (n,) each."""
         found = {
             f"{part}.{name}": column for part, table in self.parts().items() for name, column in table.columns().items()
         }
-        return {"number": self.number, "gate": self.gate, **found}
+        return {"number": self.number, "gate": self.gate, "policy": self.policy, **found}
 
     def parts(self) -> dict[str, Table]:
         """Return the tables by name, `command` to `timing`."""
@@ -125,12 +128,14 @@ def read_steps(reader: EpisodeReader, robot: str | None) -> Steps:
         raise UnknownName("robot with policy steps", robot, known)
     steps = list(recorded.iterate(reader, robot))
     by_key = _Columns(reader, steps)
+    gates = [codec.parse_facts(step.values.get(keys.command_gate(robot))) for step in steps]
     state = keys.robot_state(robot) if keys.robot_state(robot) in topics else keys.state_joints(robot)
     return Steps(
         robot=robot,
         time_s=by_key.time_s,
         number=np.array([step.number for step in steps], dtype=np.int64),
-        gate=np.array([_gate(step, robot) for step in steps], dtype=np.str_),
+        gate=np.array([str(gate.get("state", "")) for gate in gates], dtype=np.str_),
+        policy=np.array([str(gate.get("policy", "")) for gate in gates], dtype=np.str_),
         command=by_key.table(keys.command_used(robot)),
         state=by_key.table(state),
         observation=by_key.table(keys.policy_obs(robot)),
@@ -156,8 +161,10 @@ class _Columns:
         contract = self._contracts.get(key)
         if contract is None or contract.vector_codec is None:
             return self._table(key, [None] * len(values), (), (), len(values) - values.count(None))
-        rows = fitting(contract, values)
-        width = next((len(row) for row in rows if row is not None), len(contract.elements))
+        decode = decoder(contract.codec)
+        has_names = bool(contract.elements)
+        rows = fitting(contract, values) if has_names else [decode(each) if each else None for each in values]
+        width = len(contract.elements) or max((len(row) for row in rows if row is not None), default=0)
         skipped = sum(row is None for row in rows) - values.count(None)
         return self._table(key, rows, *names_and_units(contract, width), skipped)
 
@@ -184,7 +191,7 @@ class _Columns:
         values = np.full((len(rows), len(names)), np.nan)
         for index, row in enumerate(rows):
             if row is not None:
-                values[index] = row
+                values[index, : len(row)] = row
         return Table(key, self.time_s, self.time_s, values, names, units, skipped)
 
 
@@ -198,7 +205,3 @@ def names_and_units(contract: Contract, width: int) -> tuple[tuple[str, ...], tu
     if not contract.elements:
         return tuple(str(index) for index in range(width)), ("",) * width
     return tuple(unique_names(contract.names)), tuple(element.unit for element in contract.elements)
-
-
-def _gate(step: Step, robot: str) -> str:
-    return str(codec.parse_facts(step.values.get(keys.command_gate(robot))).get("state", ""))

@@ -148,6 +148,25 @@ def test_policy_steps_are_rows_of_what_was_seen_asked_and_done(episode: station.
     assert len({len(table) for table in steps.parts().values()} | {len(steps)}) == 1
 
 
+@pytest.mark.filterwarnings("error")
+def test_of_policies_that_take_over_each_step_tells_which_drove_and_shows_its_own_observation(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    for number, (policy, size) in enumerate([("default-pose", 3), ("tracker", 5), ("tracker", 5)]):
+        at_s = 0.1 + 0.02 * number
+        builder.write({STATE: codec.f64(np.zeros(65))}, at_s=at_s)
+        results = {
+            keys.policy_obs(ROBOT): codec.f32(np.full(size, number + 1.0)),
+            keys.policy_action(ROBOT): codec.f32(np.zeros(29)),
+            keys.command_gate(ROBOT): codec.json_object({"state": "tracking", "policy": policy}),
+            keys.policy_timing(ROBOT): codec.json_vector([number, 0, *range(6)]),
+        }
+        builder.write(results, at_s=at_s + 0.003)
+    steps = station.open_episode(builder.finish()).steps()
+    assert steps.policy.tolist() == ["default-pose", "tracker", "tracker"]
+    assert steps.observation.values[:, :3].tolist() == [[1.0] * 3, [2.0] * 3, [3.0] * 3]
+    assert np.isnan(steps.observation.values[:, 3:]).tolist() == [[True, True], [False, False], [False, False]]
+
+
 def test_of_two_robots_in_an_episode_each_has_its_own_steps(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
     walk(builder, seconds=0.2)

@@ -96,6 +96,6 @@ def test_faults_that_are_refused_change_nothing():
 
 def test_settings_are_checked_before_anything_starts():
     with pytest.raises(ValueError, match="mode_machine"):
-        TwinConfig(twin="g1", options={"mode_machine": 4})
+        TwinConfig(twin="g1", options={"mode_machine": 9})
     with pytest.raises(ValueError, match="unknown twin 'g2'"):
         TwinConfig(twin="g2")

@@ -99,7 +99,6 @@ def _record(home: Home, guard: Path) -> tuple[Episode, Line]:
     return station.open_episode(home.episode("sway")), line
 
 
-@pytest.mark.filterwarnings("ignore:policy_obs_.* do not fit")  # its two policies observe differently
 @pytest.mark.timeout(SECONDS + 600)
 def test_r9_the_loop_is_punctual_and_what_it_uses_is_fresh(
     processes: None, real_time: None, compiler: str, plain: Path, proof: Figures
