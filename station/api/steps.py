@@ -37,8 +37,8 @@ class Steps:
     """The n policy steps of one robot in order: row k of every part belongs to step k.
 
     A part has no columns where the recording holds nothing of it, such as the observation of an arm without a policy.
-    A row is NaN where its step holds no value of that part, or one that does not fit. Where policies took over from each
-    other whose observations have different lengths, shorter ones have NaN behind their last number.
+    A row is NaN where its step holds no value of that part, or one that does not fit. Where policies took over from
+    each other whose observations have different lengths, shorter ones have NaN behind their last number.
 
     Attributes:
         robot: The robot.
@@ -95,7 +95,7 @@ class Steps:
         return polars_frame(self.time_s, self.columns())
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return ``number``, ``gate``, ``policy``, and each column of each part as ``part.name``, of shape (n,) each."""
+        """Return ``number``, ``gate``, ``policy``, and each column of each part as ``part.name``, shape (n,) each."""
         found = {
             f"{part}.{name}": column for part, table in self.parts().items() for name, column in table.columns().items()
         }
