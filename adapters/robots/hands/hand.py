@@ -1,7 +1,8 @@
 """A hand, or a pair of hands, on a robot's DDS network: what it measures, and what it is told.
 
 Nothing is sent before the first arming. From then on there is a message in every period: targets, or that the hand is
-to be limp, which drops what it holds. A hand has no controller of its own that would have to let go.
+to be limp, which drops what it holds. A hand has no controller of its own that would have to let go. What stops its
+robot on the remote stops the hand as well, where the robot is heard.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.robots.g1.dds import types
+from adapters.robots.g1.dds import messages, topics, types
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.other_writers import OtherWriters
+from adapters.robots.g1.dds.remote import Remote
 from adapters.robots.hands.options import HandOptions
 from adapters.robots.hands.wire import HandWire
 from station.bus import codec
@@ -58,6 +60,8 @@ class DdsHand:
         command_type = getattr(types, wire.command_type)
         self._commands = self._network.writer(wire.command_topic, raw(command_type))
         self._others = OtherWriters(self._network, wire.command_topic)
+        self._robot = self._network.reader(topics.LOW_STATE, types.LowState, depth=2)
+        self._remote = Remote()
         self._q = self._dq = np.zeros(len(wire.joints))
         self._heard_s = -np.inf
         self._states_read = self._malformed = 0
@@ -75,6 +79,9 @@ class DdsHand:
         """Return the newest measurement; what came before it since the last call goes to `values`."""
         self._take()
         self._others.poll()
+        said = messages.states([message for message in self._robot.take() if messages.is_intact(message)])
+        if len(said):
+            self._remote.update(np.ascontiguousarray(said["remote"]))
         return RobotState(self._clock.monotonic_ns(), self._q, self._dq, _UPRIGHT, _AT_REST)
 
     def _take(self) -> None:
@@ -122,6 +129,8 @@ class DdsHand:
     def why_not_drive(self) -> str:
         """Return why the force has to go out of it now, or ""."""
         silent_s = self._clock.monotonic_s() - self._heard_s
+        if stop := self._remote.stop:
+            return f"{stop} on the remote"
         if silent_s > SILENT_S:
             return f"no state of the hand for {silent_s:.2f} s on {self._wire.state_topic}"
         if not np.isfinite(self._q).all():

@@ -15,9 +15,10 @@ pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 from adapters.commands import hands as commands
 from adapters.commands.hand import HandCommand
 from adapters.policies.direct import DirectPolicy
-from adapters.robots.g1.dds import types
+from adapters.robots.g1.dds import messages, topics, types
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.g1.dds.remote import Sticks, remote_bytes
 from adapters.robots.g1.twin import hands as twins
 from adapters.robots.g1.twin.faults import G1Faults
 from adapters.robots.hands import inspire, wire
@@ -230,6 +231,27 @@ def test_the_other_hand_goes_on_while_one_is_silent() -> None:
         assert found.control.arming.state == "armed"
 
 
+@pytest.mark.parametrize("held", [("select",), ("L2", "B", "up")])
+def test_what_stops_the_robot_on_its_remote_stops_the_hand(held: tuple[str, ...]) -> None:
+    with bench("dex3-left") as found, Network(NetworkOptions(domain=found.domain)) as robot:
+        assert isinstance(found.twin, twins.Dex3Hand)
+        states, state = robot.writer(topics.LOW_STATE, raw(types.LowState)), messages.new_state()
+
+        def say(*buttons: str) -> None:
+            state["remote"] = remote_bytes(buttons, Sticks(0.0, 0.0, 0.0, 0.0))
+            states.write(messages.signed(state))
+            states.write(messages.signed(state))
+
+        found.arm()
+        say()
+        found.run(0.1)
+        assert found.control.arming.state == "armed"
+        say(*held)
+        found.run(0.06)
+        assert "on the remote" in found.reason("robot-fault")
+        assert not any(gains.any() for gains in found.twin.gains)
+
+
 def test_another_program_that_writes_to_the_hand_is_named() -> None:
     with bench("dex3-left") as found, Network(NetworkOptions(domain=found.domain)) as stranger:
         writer = stranger.writer("rt/dex3/left/cmd", raw(types.HandCmd))
@@ -262,15 +284,15 @@ def test_commands_that_ask_for_what_no_motor_may_do_reach_none() -> None:
         "dfx": [types.MotorCmds(motors) for motors in ([go] * 6, [], [go] * 11 + [go_nan])],
         "dftp": [types.InspireCtrl(six, *rest) for rest in ((six, six, six, "\x02"), ([500] * 5, six, six, "\x01"))],
     }  # fmt: skip
-    for case, messages in bad.items():
+    for case, commanded in bad.items():
         with bench(case) as found, Network(NetworkOptions(domain=found.domain)) as stranger:
             before = found.q
             spoken = CASES[case][2]()
             writer = stranger.writer(spoken.command_topic, getattr(types, spoken.command_type))
-            for message in messages:
+            for message in commanded:
                 writer.write_object(message)
                 found.advance(5)
-            assert found.twin.counts == {"refused": len(messages), "states": found.twin.counts["states"]}
+            assert found.twin.counts == {"refused": len(commanded), "states": found.twin.counts["states"]}
             if case == "dex3-left":
                 writer.write_object(types.HandCmd([locked] * 7, [0] * 4))  # one, but of other motors
                 found.advance(50)

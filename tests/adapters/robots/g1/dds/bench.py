@@ -82,7 +82,8 @@ class Bench:
         self.advance(20)
         self.robot = G1Dds(G1DdsOptions(domain=self.domain, **self._options), PERIOD_S, self.clock)
         self._is_plugged_in = True
-        followed = command_format("twist2", "", None, None)
+        spec = self._each[-1].spec
+        followed = command_format(spec.command, "g1_29", spec.command_lower, spec.command_upper)
         self.control = ControlStep(self.robot, self.policies, followed, is_armed=False, clock=self.clock)
 
     def unplug(self) -> None:
@@ -133,13 +134,13 @@ class Bench:
         self.release()
         self.arm()
 
-    def stand(self) -> None:
+    def stand(self, policy: str = "tracker") -> None:
         """Come down from the gantry onto the feet, and let the policy balance."""
         self.release()
         self.change(gantry="down")
         self.arm()
         self.run(0.5)
-        self.policies.switch("tracker")
+        self.policies.switch(policy)
         self.run(0.8)
         self.change(gantry="slack")
         self.run(0.3)
