@@ -90,7 +90,8 @@ class JointCommand:
     """The command of an arm: absolute positions of its joints [rad] (`station.protocols.CommandFormat`).
 
     Its arrays are read-only. An arm has no standing to go back to: without a command it stays where it is, and
-    `default` only tells the length of the vector and a place within its range.
+    `default` only tells the length of the vector and a place within its range. `awaits_pause` is whether its commander
+    has to pause once the robot was disarmed before it is followed again.
     """
 
     name: str
@@ -105,11 +106,12 @@ class JointCommand:
     velocities: tuple[int, ...] = ()
     note: str = ""
     stock_key: str = ""
+    awaits_pause: bool = True
 
     @classmethod
     def within(
         cls, name: str, robot: str, joint_names: tuple[str, ...], *, lower: Floats, upper: Floats, margin: Floats,
-        rate: Floats, stock_key: str = "",
+        rate: Floats, stock_key: str = "", awaits_pause: bool = True,
     ) -> Self:  # fmt: skip
         """Return the command of a robot's n joints, between limits of shape (n,), which are copied.
 
@@ -119,6 +121,7 @@ class JointCommand:
             joint_names: Of its joints, in order.
             lower, upper, margin, rate: As in `station.protocols.CommandFormat`.
             stock_key: Bus key that stock programs write it on; "" for the station's own.
+            awaits_pause: Whether its commander has to pause after the robot was disarmed.
         """
         import numpy as np
 
@@ -127,7 +130,9 @@ class JointCommand:
         for array in (default, lower, upper, margin, rate):
             array.flags.writeable = False
         items = elements((positions(joint_names), "rad"))
-        return cls(name, robot, items, default, lower, upper, margin, rate, stock_key=stock_key)
+        return cls(
+            name, robot, items, default, lower, upper, margin, rate, stock_key=stock_key, awaits_pause=awaits_pause
+        )
 
     @property
     def auxiliary(self) -> Mapping[str, Floats]:

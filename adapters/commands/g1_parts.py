@@ -69,6 +69,7 @@ def hand(side: Side, robot: str, *, name: str = "", stock_key: str = "") -> Hand
     bare = JointCommand.within(
         name or f"g1-{side}-hand", f"{robot}_{side}_hand", names, lower=g1.lower(names), upper=g1.upper(names),
         margin=np.full(len(names), _BEYOND_RAD), rate=g1.velocity(names), stock_key=stock_key,
+        awaits_pause=not stock_key,
     )  # fmt: skip
     return HandCommand(
         **{field.name: getattr(bare, field.name) for field in fields(bare)},

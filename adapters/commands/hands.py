@@ -58,7 +58,7 @@ def _neck() -> JointCommand:
     return JointCommand.within(
         "twist2-neck", f"{twist_keys.TWIST2_ROBOT}_neck", NECK, lower=-ends, upper=ends,
         margin=np.full(len(NECK), _NECK_BEYOND_RAD), rate=np.full(len(NECK), RATE_RAD_S),
-        stock_key=twist_keys.action_neck(),
+        stock_key=twist_keys.action_neck(), awaits_pause=False,
     )  # fmt: skip
 
 

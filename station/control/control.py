@@ -225,7 +225,8 @@ class ControlStep:
 
         It rests where it was asked to be, not where it is: a joint that sags a little under its load, and were asked to
         be there, would sag on. Nor at its target: a policy that balances with the arms adds to what they are asked.
-        While it is disarmed no command is followed, and the commander has to begin anew.
+        While it is disarmed no command is followed, and the commander has to begin anew, but for a hand's: those of
+        stock programs never pause.
         """
         self._is_lost = False
         for index, (gate, joints, _) in enumerate(self._resting):
@@ -237,7 +238,8 @@ class ControlStep:
                 gate.insist_on_silence("the robot did not say where it is")
         if self.arming.state == "disarmed" and (self._resting or len(self.commanded.paths) > 1):
             for path in self.commanded.paths:
-                path.gate.insist_on_silence("the robot was disarmed")
+                if getattr(path.command_format, "awaits_pause", True):
+                    path.gate.insist_on_silence("the robot was disarmed")
 
     def _decide(self, state: RobotState, sample: Samples, now_s: float) -> Decision:
         """Return what the gate lets through; nothing of a command while the robot has to stand."""

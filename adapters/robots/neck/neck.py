@@ -24,7 +24,10 @@ SILENT_S = 0.3
 
 _TORQUE_ENABLE, _GOAL_POSITION = 64, 116
 _ATTEMPTS = 5
-_ASKS_AGAIN_EVERY = 10  # periods: a silent servo is waited for for longer than a period
+_MISSES, _ASKS_AGAIN_EVERY = (
+    5,
+    10,
+)  # answers that are missing, then periods: each is waited for for longer than a period
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -48,7 +51,7 @@ class DynamixelNeck:
         self._zero, self._signs = np.array(options.zero_ticks), np.array(options.signs)
         self._most = np.array(options.most_rad)
         self._q = self._dq = np.zeros(len(NECK))
-        self._heard_s, self._polls = -np.inf, 0
+        self._heard_s, self._polls, self._misses = -np.inf, 0, 0
         self._is_stiff = False
         self._fault = self._refused = ""
         self._bus = DynamixelBus(options.port, options.baud, clock, device="neck", setting="robot_options.port")
@@ -65,11 +68,10 @@ class DynamixelNeck:
 
     def read(self) -> RobotState:
         """Return where it is, asking the servos."""
-        is_silent = self._clock.monotonic_s() - self._heard_s > SILENT_S
         self._polls += 1
-        if not self._fault and (not is_silent or self._polls % _ASKS_AGAIN_EVERY == 0):
+        if not self._fault and (self._misses < _MISSES or self._polls % _ASKS_AGAIN_EVERY == 0):
             try:
-                self._take()
+                self._misses = 0 if self._take() else self._misses + 1
             except PortGone as error:
                 self._fault = str(error)
         return RobotState(self._clock.monotonic_ns(), self._q, self._dq, _UPRIGHT, np.zeros(3))

@@ -191,7 +191,7 @@ class Bench:
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             self.client.arm()
-            while not (self.client.poll() and self.client.is_armed) and not self.client.why_not_armed:
+            while not (self.client.poll() and self.client.is_granted) and not self.client.why_not_armed:
                 time.sleep(0.001)
             self.command(0.1)
             if self.client.is_armed and self.status().state is State.ARMED:

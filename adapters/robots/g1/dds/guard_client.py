@@ -319,9 +319,14 @@ class GuardClient:
         self._socket.close()
 
     @property
+    def is_granted(self) -> bool:
+        """Whether the guard has armed for this client; it may have come to damping since."""
+        return self._token != 0
+
+    @property
     def is_armed(self) -> bool:
         """Whether the guard, as it last said, follows the commands of this client (`silence_s` ago)."""
-        return self._token != 0 and self.status is not None and self.status.state in (State.ARMED, State.FROZEN)
+        return self.is_granted and self.status is not None and self.status.state in (State.ARMED, State.FROZEN)
 
     @property
     def is_here(self) -> bool:

@@ -142,6 +142,7 @@ def test_a_hand_is_told_nothing_before_it_is_armed_then_closes_opens_and_is_reco
         found.run(0.5)
         assert found.twin.counts["accepted"] == 0
         found.wanted = None
+        found.run(1.0)
         before = found.q
         found.arm()
         assert found.q == pytest.approx(before, abs=0.02), "to be armed moves nothing"
@@ -304,3 +305,16 @@ def test_a_hand_that_is_not_there_is_named_with_its_topic() -> None:
         options = Dex3Options(domain=number, first_state_within_s=0.1)
         with pytest.raises(NotReady, match=r"no state of the hand within 0\.1 s on rt/dex3/left/state .* nothing came"):
             DdsHand(dex3_wire("left", options), options, PERIOD_S)
+
+
+@pytest.mark.parametrize(("case", "follows"), [("dex3-left", True), ("dftp", False)])
+def test_a_program_that_never_pauses_is_followed_once_the_hand_is_armed_where_it_is_a_stock_one(
+    case: str, follows: bool
+) -> None:
+    with bench(case) as found:
+        found.want(0.0)
+        found.run(1.0)
+        found.arm()
+        found.want(1.0)
+        found.run(2.5)
+        assert np.allclose(found.q, np.concatenate(found.wanted or []), atol=0.05) is follows
