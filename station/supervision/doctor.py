@@ -89,7 +89,7 @@ def examine(bus: Bus) -> Iterator[Finding]:
         yield from _low_level(bus, health)
     if not low_level:
         yield from _commands_without_a_robot(bus)
-    yield from _recorder(bus)
+    yield from _recorder(bus, read_health(bus))  # to look at commands takes a second each: what was heard before is old
     yield from machine()
 
 
@@ -272,9 +272,8 @@ def _gate(watch: Watch, key: str) -> Iterator[Finding]:
                       "when everybody is clear: station arm")  # fmt: skip
 
 
-def _recorder(bus: Bus) -> Iterator[Finding]:
-    # Heard anew: to look at commands takes a second each, and what was heard before that would count as dead.
-    if not any(health.role == "recorder" and health.is_alive for health in read_health(bus)):
+def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
+    if not any(health.role == "recorder" and health.is_alive for health in servers):
         yield Finding("warning", "recorder", "none runs; nothing is kept", "station serve recorder")
         return
     try:
