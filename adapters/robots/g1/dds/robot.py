@@ -37,8 +37,9 @@ ENTRY_S = 2.5
 COMMANDED_S = 1.0
 """After so long of commands a motor that says it gets none is ill [s]."""
 
-GENTLE_S, GENTLE_RAD_S = 5.0, 0.9
-"""For how long after arming no target moves faster than that: below 0.02 rad in a control period."""
+GENTLE_S, GENTLE_RAD_S, _ARRIVED_RAD = 5.0, 0.9, 0.01
+"""For how long after arming, at most, no target moves faster than that: below 0.02 rad in a control period. It is over
+once the robot was sent where it is asked to be: a policy that balances falls where its targets come late."""
 
 _MOST_KP, _MOST_KD = np.array([most_gains(name) for name in G1_29]).T
 
@@ -75,6 +76,7 @@ class G1Dds:
         self._samples: list[NDArray[np.float64]] = []
         self._battery = b""
         self._steps = -1  # since it was armed; -1 while it is damped
+        self._is_gentle = True
         self._entry_q: Floats = np.zeros(JOINTS)
         self._sent_q: Floats = np.zeros(JOINTS)
         self._is_there = np.ones(JOINTS, bool)
@@ -133,7 +135,7 @@ class G1Dds:
         if not self._sender.open():  # a handshake takes a period or two
             return self._limp()
         if self._steps < 0:
-            self._steps, self._entry_q = 0, self._measured_q()
+            self._steps, self._entry_q, self._is_gentle = 0, self._measured_q(), True
             self._sent_q = self._entry_q
         if self._steps < FIRST_STEPS:
             q, kp = self._measured_q(), np.zeros(JOINTS)
@@ -270,7 +272,9 @@ class G1Dds:
     def _gentle(self, q: Floats) -> Floats:
         """Return targets that leave the pose in which the robot was armed slowly."""
         since_s = (self._steps - FIRST_STEPS) * self._dt_s
-        if since_s >= GENTLE_S:
+        has_arrived = since_s > ENTRY_S and float(np.abs(q - self._sent_q).max()) < _ARRIVED_RAD
+        self._is_gentle = self._is_gentle and since_s < GENTLE_S and not has_arrived
+        if not self._is_gentle:
             return q
         share = min(1.0, since_s / ENTRY_S)
         share = share * share * (3.0 - 2.0 * share)

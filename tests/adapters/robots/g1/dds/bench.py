@@ -139,7 +139,7 @@ class Bench:
         self.release()
         self.change(gantry="down")
         self.arm()
-        self.run(0.5)
+        self.run(0.7)
         self.policies.switch(policy)
         self.run(0.8)
         self.change(gantry="slack")

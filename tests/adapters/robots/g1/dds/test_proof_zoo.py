@@ -12,18 +12,26 @@ from station import assets, registry
 from station.bus import codec
 from station.contract import names_of
 from station.control.command_validator import CommandSample
+from station.errors import ConfigError
 from tests.adapters.robots.g1.dds.bench import PERIOD_S, Bench, bench
 from tests.figures import Figures
 
 ZOO = {
     "holosoma": "zoo:policies/holosoma_fastsac_g1_29dof.onnx",
-    "playground-g1": "zoo:policies/playground_g1_policy.onnx",
     "deploy-yaml": "zoo:policies/unitree_rl_mjlab_g1/deploy.yaml",
-    "rlgym-g1": "zoo:policies/rlgym_g1_motion.pt",
     "falcon": "zoo:policies/falcon_g1_29dof.onnx",
-    "asap": "zoo:policies/asap_dec_loco_g1.onnx",
     "g1-walk": "builtin:g1-walk.onnx",
 }
+REFUSED = {
+    "playground-g1": (
+        "zoo:policies/playground_g1_policy.onnx",
+        "needs the velocity of the base, which this robot does not",
+    ),
+    "rlgym-g1": ("zoo:policies/rlgym_g1_motion.pt", "drives 12 joints, the robot has 29"),
+    "asap": ("zoo:policies/asap_dec_loco_g1.onnx", "asked for a stiffness of 304 of waist_yaw; at most 300"),
+}
+"""What does not fit a real G1 with 29 joints, and what is said of it."""
+
 FORWARD_M_S, SECONDS = 0.4, 10.0
 
 
@@ -48,6 +56,27 @@ def test_a_policy_that_walks_in_simulation_walks_over_the_wire(name: str, proof:
         f"{name} walks over a G1's wire, asked for {FORWARD_M_S:g} m/s", went_m / SECONDS, "m/s", limit="no fall"
     )
     assert went_m > 0.5 * FORWARD_M_S * SECONDS
+
+
+@pytest.mark.assets
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_policy_that_does_not_fit_is_refused_with_the_reason(name: str, proof: Figures) -> None:
+    file, words = REFUSED[name]
+    path = assets.resolve(file)
+    policies = {"default-pose": DefaultPosePolicy(path, of=name), name: registry.find("policy", name)(path)}
+    with bench(policies=policies) as found:
+        try:
+            found.plug_in()
+        except ConfigError as error:
+            why_not = str(error)
+        else:
+            found.release()
+            assert found.control.arm(found.clock.monotonic_s()) == ""
+            found.run(2.5)  # its stiffness grows for two seconds
+            why_not = found.reason("robot-fault")
+            assert not found.twin.body.held.kp.any()
+    assert words in why_not
+    proof.figure(f"{name} over a G1's wire", why_not, limit="refused")
 
 
 def _walk(found: Bench, seconds: float) -> None:

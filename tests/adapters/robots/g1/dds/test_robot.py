@@ -156,6 +156,17 @@ def test_r7_it_gets_to_its_pose_gently():
         assert reached[round(3.0 / PERIOD_S) :].all()
 
 
+def test_r7_who_takes_over_after_the_entry_is_not_slowed_down():
+    with bench() as found:
+        found.plug_in()
+        found.hang()
+        found.run(0.9)  # three seconds after arming it is in its pose
+        sent = found.records[-1].sent
+        q = sent.q.copy()
+        q[G1_29.index("left_elbow")] += 0.2
+        assert found.robot.write(replace(sent, q=q)).q.tolist() == q.tolist()
+
+
 def test_r8_the_policy_takes_over_without_a_jump():
     with bench() as found:
         found.plug_in()
