@@ -18,7 +18,7 @@ pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.commands.hands import TWIST2_LEFT, TWIST2_NECK, TWIST2_RIGHT
 from adapters.robots.g1 import twist_keys
-from adapters.robots.g1.twin import neck
+from adapters.robots.g1.twin.neck import TwinNeck
 from station import Station
 from station.errors import Refused
 from tests.cli.running import Home, new_home
@@ -58,25 +58,30 @@ class Lab:
         stack.enter_context(home.running("bus", "start"))
         wait_until(home.bus_is_there)
         folder = Path(home.environment["XDG_RUNTIME_DIR"]) / "serial"
-        sets = (f"options.domain={number}", "options.hands=dex3", f"options.neck={folder}")
+        self.neck = TwinNeck(folder)  # here, where nothing that is in a hurry keeps its servos from answering
+        stack.callback(self.neck.close)
+        sets = (f"options.domain={number}", "options.hands=dex3")
         stack.enter_context(home.running("robot-twin", "g1", *(word for each in sets for word in ("--set", each))))
         wait_until(lambda: "robot-twin" in home.health())
         self.start("left_hand", "dex3-left-dds", f"domain={number}")
         self.start("right_hand", "dex3-right-dds", f"domain={number}")
-        wait_until(lambda: list(folder.glob(f"*{neck.SERIAL}*")))
-        (port,) = folder.glob(f"*{neck.SERIAL}*")
-        self.start("neck", "neck-dynamixel", f"port={port}")
+        self.start("neck", "neck-dynamixel", f"port={self.neck.port.path}")
         for name in PARTS:
             self.wait_until_ready(name)
 
     def start(self, name: str, robot: str, option: str) -> None:
         """Start the server of a part."""
-        words = ("--name", name, "--set", f"robot={robot}", "--set", f"robot_options.{option}")
+        options = (option, "first_state_within_s=50")  # as long as a busy machine may take
+        sets = (f"robot={robot}", *(f"robot_options.{each}" for each in options))
+        words = ("--name", name, *(word for each in sets for word in ("--set", each)))
         self._stack.enter_context(self.home.running("serve", "robot", *words))
 
     def wait_until_ready(self, name: str) -> None:
         """Wait until nothing is against arming a part."""
-        wait_until(lambda: self.part(name).get("why_not_arm") == "")
+        try:
+            wait_until(lambda: self.part(name).get("why_not_arm") == "")
+        except AssertionError:
+            raise AssertionError(f"{name}: {self.part(name)}; twin: {self.twin()}") from None
 
     def part(self, name: str) -> dict[str, Any]:
         health = self.home.health().get(name)
@@ -135,7 +140,7 @@ def test_hands_and_a_neck_follow_another_labs_program_and_tell_it_where_they_are
     teleop.wanted = CLOSED | {TWIST2_NECK.key: [0.6, -0.4]}
     found.until(lambda: is_near(found.measured("left"), CLOSED[TWIST2_LEFT.key]))
     found.until(lambda: is_near(found.measured("right"), CLOSED[TWIST2_RIGHT.key]))
-    found.until(lambda: is_near([float(each) / 1000 for each in found.twin()["neck"]["ticks"]], [2.439, 1.787]))
+    found.until(lambda: is_near([servo.ticks / 1000 for servo in found.neck.servos], [2.439, 1.787]))
     teleop.wanted = OPEN | {TWIST2_NECK.key: [0.0, 0.0]}
     found.until(lambda: is_near(found.measured("left"), OPEN[TWIST2_LEFT.key]))
 

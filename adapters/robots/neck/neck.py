@@ -55,16 +55,15 @@ class DynamixelNeck:
         self._is_stiff = False
         self._fault = self._refused = ""
         self._bus = DynamixelBus(options.port, options.baud, clock, device="neck", setting="robot_options.port")
-        found = self._bus.ping(options.ids, attempts=_ATTEMPTS)
-        if missing := [id_ for id_ in options.ids if id_ not in found]:
-            self._bus.close()
-            raise NotReady(
-                f"servo {missing[0]} of the neck does not answer on {options.port} at {options.baud} bit/s: does it "
-                "have power, is it set to this rate and number (ids, baud)?"
-            )
-        if not any(self._take() for _ in range(_ATTEMPTS)):
-            self._bus.close()
-            raise NotReady(f"the servos of the neck answer on {options.port}, and do not say where they are")
+        until_s = clock.monotonic_s() + options.first_state_within_s
+        while not self._take():
+            if clock.monotonic_s() > until_s:
+                silent = [id_ for id_ in options.ids if id_ not in self._bus.ping([id_], attempts=_ATTEMPTS)]
+                self._bus.close()
+                raise NotReady(
+                    f"servo {silent[0] if silent else options.ids[0]} of the neck does not answer on {options.port} at "
+                    f"{options.baud} bit/s: does it have power, is it set to this rate and number (ids, baud)?"
+                )
 
     def read(self) -> RobotState:
         """Return where it is, asking the servos."""

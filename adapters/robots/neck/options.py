@@ -17,6 +17,7 @@ class NeckOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         zero_ticks: What each shows where the robot looks straight ahead, 4096 to a turn.
         signs: 1 where a servo counts up as the robot looks to the right, or up, as TWIST2's commands do; else -1.
         most_rad: How far each may turn to either side, whatever is asked [rad].
+        first_state_within_s: Longest wait until both servos have said where they are [s].
     """
 
     port: str
@@ -25,6 +26,7 @@ class NeckOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     zero_ticks: tuple[int, int] = (2048, 2048)
     signs: tuple[int, int] = (1, 1)
     most_rad: tuple[float, float] = (1.4, 0.8)
+    first_state_within_s: float = 5.0
 
     def __post_init__(self) -> None:
         if self.ids[0] == self.ids[1] or not all(0 <= id_ <= 252 for id_ in self.ids):

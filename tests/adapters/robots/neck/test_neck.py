@@ -113,7 +113,7 @@ def test_a_servo_that_is_not_there_and_a_port_that_is_not_there_are_named(tmp_pa
     twin = TwinNeck(tmp_path)
     try:
         with pytest.raises(NotReady, match=r"servo 7 of the neck does not answer on .* at 2000000 bit/s"):
-            DynamixelNeck(NeckOptions(port=str(twin.port.path), ids=(0, 7)), PERIOD_S)
+            DynamixelNeck(NeckOptions(port=str(twin.port.path), ids=(0, 7), first_state_within_s=0.2), PERIOD_S)
     finally:
         twin.close()
     with pytest.raises(
@@ -133,3 +133,20 @@ def test_a_servo_that_is_not_there_and_a_port_that_is_not_there_are_named(tmp_pa
 def test_settings_that_cannot_be_are_named(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         config.build(NeckOptions, {"port": "/dev/ttyUSB0", **options}, where="robot neck-dynamixel")
+
+
+def test_a_robot_twin_has_a_neck_where_it_is_asked_for(tmp_path: Path) -> None:
+    pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
+    from adapters.robots.g1.twin.faults import G1Faults
+    from adapters.robots.g1.twin.options import G1TwinOptions
+    from adapters.robots.g1.twin.twin import G1Twin
+    from tests.dds_domains import domain
+
+    with domain() as number:
+        twin = G1Twin(G1TwinOptions(domain=number, neck=str(tmp_path)), G1Faults())
+        try:
+            assert twin.health()["neck"] == {"ticks": [2048, 2048], "is_stiff": [False, False]}
+            assert len(list(tmp_path.iterdir())) == 1
+        finally:
+            twin.close()
+    assert not list(tmp_path.iterdir())
