@@ -20,8 +20,9 @@ NAMES: Mapping[str, str] = {
     "A": "right_primary", "B": "right_secondary", "X": "left_primary", "Y": "left_secondary", "L1": "left_bumper",
     "R1": "right_bumper", "L2": "left_trigger", "R2": "right_trigger", "start": "start", "F1": "left_stick_click",
     "F2": "right_stick_click", "up": "dpad_up", "down": "dpad_down", "left": "dpad_left", "right": "dpad_right",
+    "select": "back",
 }  # fmt: skip
-"""What each button stands for; Select is missing, which stops the robot whoever asks for what."""
+"""What each button is called: as the one in its place on a gamepad."""
 
 
 class States(Protocol):
@@ -58,7 +59,7 @@ class G1Remote:
         self._is_heard = False
 
     def read(self) -> OperatorSample | None:
-        """Return sticks and buttons, or None where no state came since the last look or the remote is off."""
+        """Return sticks and buttons; None if the robot sent no state since the last call, or if its remote is off."""
         records = messages.states([message for message in self._states.take() if messages.is_intact(message)])
         if not len(records):
             return None
@@ -76,7 +77,7 @@ class G1Remote:
         return OperatorSample(controls=shown)
 
     def why_silent(self) -> str:
-        """Return whether it is the robot that is not heard, or its remote that is off."""
+        """Return why there is no sample: the robot is not heard, or its remote is off."""
         where = f"{self._options.interface}, domain {self._options.domain}"
         if self._is_heard and not self._remote.is_on:
             return "the robot is heard and its remote is off; switch it on"

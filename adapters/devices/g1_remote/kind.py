@@ -1,4 +1,4 @@
-"""A G1's remote as a device: sticks and buttons. Select, and L2 with B, stop the robot itself, and are nothing else."""
+"""A G1's remote as a device: sticks and buttons. What stops the robot, Select or L2 with B, stops the station, too."""
 
 from __future__ import annotations
 
@@ -70,5 +70,5 @@ KIND = DeviceKind(
     plugged_in=_plugged_in,
     controls=CONTROLS,
     buttons={action: gesture for action, gesture in pair.BUTTONS.items() if action not in ("arm", "disarm", "estop")}
-    | {"engage": "left_bumper", "estop": "left_trigger+right_trigger+left_bumper", "disarm": "left_stick_click"},
+    | {"engage": "left_bumper", "estop": ["back", "left_trigger+right_secondary"], "disarm": "left_stick_click"},
 )

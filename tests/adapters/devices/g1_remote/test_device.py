@@ -13,11 +13,13 @@ pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 from adapters.devices.g1_remote.device import G1Remote
 from adapters.devices.g1_remote.kind import G1RemoteConfig
 from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.g1.dds.remote import STOPS
 from adapters.robots.g1.twin.faults import G1Faults
 from adapters.robots.g1.twin.options import G1TwinOptions
 from adapters.robots.g1.twin.twin import G1Twin
 from station import config
 from station.errors import ConfigError
+from station.operator.buttons import Buttons, button_map
 from station.operator.device import DeviceError
 from tests.dds_domains import domain
 
@@ -60,6 +62,13 @@ def test_sticks_and_buttons_have_the_names_of_a_gamepads(both: Both) -> None:
     rested = both.shown()
     assert rested is not None
     assert not any(rested.values())
+
+
+@pytest.mark.parametrize("stop", STOPS, ids="+".join)
+def test_what_stops_the_robot_stops_the_station_too(both: Both, stop: frozenset[str]) -> None:
+    buttons = Buttons(button_map("g1-remote"))
+    assert buttons.step(both.shown(), 0.01).started == frozenset()
+    assert buttons.step(both.shown(remote=tuple(stop)), 0.01).started == {"estop"}
 
 
 def test_a_remote_that_is_off_a_robot_that_is_silent_and_an_interface_that_is_not_there_are_told(both: Both) -> None:
