@@ -202,4 +202,5 @@ KIND = ServerKind(
     config=TwinConfig,
     main=main,
     expect=_expect,
+    loads_first=True,
 )

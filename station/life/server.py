@@ -45,6 +45,8 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
             machine, such as a file or a library; called before anything starts. None for nothing to look for.
         bus_timeout_s: Longest wait for an answer of the bus while it runs [s]; longer for one that moves nothing, and
             would rather wait for a bus that is busy (with the picture that it takes for a new recorder, say) than end.
+        loads_first: Whether what a runbook starts after it loads once it is active, and not beside it: a robot's server
+            waits for the robot's first state while it loads, and from a twin none comes before that.
     """
 
     name: str
@@ -54,6 +56,7 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     main: Callable[[Any, Life], int]
     expect: Callable[[Any], object] | None = None
     bus_timeout_s: float = 0.05
+    loads_first: bool = False
 
 
 class Health(msgspec.Struct, kw_only=True):

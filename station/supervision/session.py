@@ -145,14 +145,22 @@ class Session:
                 )
 
     def _start_all(self, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
-        if not self._runbook.robot_is_real:
-            for server in self._runbook.servers:
-                self._spawn(server)
+        self._spawn_next()
         for step in self._runbook.steps:
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
             self._run_step(step, feed, memory, stop)
             self._print_events(feed)
+
+    def _spawn_next(self) -> None:
+        """In a simulation, have servers that are not there yet load side by side, up to one that loads first."""
+        if self._runbook.robot_is_real:
+            return
+        for server in self._runbook.servers:
+            if server.start not in self._supervisor.children:
+                self._spawn(server)
+                if server.kind.loads_first:
+                    break
 
     def _run_step(self, step: Step, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
         self._ui.begin(str(step))
@@ -216,6 +224,8 @@ class Session:
         self._expect_robot(step)
         self._supervisor.activate(step.start)
         health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
+        if step.kind.loads_first:
+            self._spawn_next()
         took_s = self._clock.monotonic_s() - self._supervisor.children[step.start].started_s
         return f"active after {took_s:.1f} s, pid {health.pid}"
 

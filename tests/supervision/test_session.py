@@ -20,6 +20,7 @@ from station.life.stop_file import StopFile
 from station.supervision import runbook
 from station.supervision.session import Session
 from station.supervision.supervisor import Supervisor
+from tests.dds_domains import domain
 from tests.supervision.place import ASK, HEAD, MOTION, QUICK, RECORDER, Person, Place
 from tests.waiting import wait_until
 
@@ -54,6 +55,19 @@ def test_in_a_simulation_all_load_at_once(place: Place) -> None:
     person.asked = lambda: person.told.append(f"running {sorted(place.supervisor.children)}")
     assert place.session(QUICK, person).run(place.stop, for_s=0.1) == 0
     assert person.heard("running ['motion', 'recorder']")
+
+
+def test_what_hears_a_twin_loads_once_the_twin_is_active(place: Place) -> None:
+    pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
+    person = Person()
+    person.asked = lambda: person.told.append(f"running {sorted(place.supervisor.children)}")
+    with domain() as number:
+        twin = f"  - start: robot-twin\n    with: {{twin: g1, options: {{domain: {number}}}}}\n    ready_within: 60s\n"
+        text = HEAD + "steps:\n" + ASK + RECORDER + twin + ASK + MOTION
+        assert place.session(text, person).run(place.stop, for_s=0.1) == 0
+    assert [line for line in person.told if line.startswith("running")] == [
+        "running ['recorder', 'robot-twin']", "running ['motion', 'recorder', 'robot-twin']"
+    ]  # fmt: skip
 
 
 def test_the_answers_stand_in_the_manifest(place: Place) -> None:
