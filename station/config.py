@@ -20,6 +20,8 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 _DURATION = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|)\s*$")
 _EXPONENT = re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+_NO_CHOICE = "Invalid enum value "  # what comes behind it is the value, also where its place is not told
+_STEPS = re.compile(r"\[[^\]]*\]|[^.\[]+")
 _SECONDS = {"ms": 1e-3, "s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -185,12 +187,16 @@ def _is_struct(kind: Any) -> bool:
 
 def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: Mapping[str, Any]) -> str:
     """Turn "Expected `float`, got `str` - at `$.rate_hz`" into "rate_hz: expected float, got 'fast'"."""
-    text, _, path = str(error).partition(" - at `$")
-    place = path.rstrip("`").lstrip(".")
+    text, _, path = str(error).partition(" - at `")
+    place = path.rpartition("$")[2].rstrip("`").lstrip(".")
     value, wanted = _at(place, kind, values)
-    if text.startswith("Invalid enum value"):
-        known = sorted(str(choice) for choice in choices(wanted))
-        text = f"expected {' or '.join(known)}, got {value!r}{did_you_mean(str(value), known)}"
+    if path.startswith("key`") and get_origin(wanted) is dict:
+        wanted = get_args(wanted)[0]
+    known = sorted(str(choice) for choice in choices(wanted))
+    if text.startswith(_NO_CHOICE) and known:
+        came = text.removeprefix(_NO_CHOICE)
+        hint = did_you_mean(came.strip("'"), known)
+        text = f"expected {' or '.join(known)}, got {came}{hint}"
     elif not isinstance(value, Mapping):
         text = re.sub(r"got `[^`]*`$", lambda _: f"got {value!r}", text)
     text = (
@@ -201,12 +207,19 @@ def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: M
 
 
 def _at(place: str, kind: Any, values: Any) -> tuple[Any, Any]:
-    """Return the value at a place such as ``gate.hold_after_s``, and the type that is wanted there."""
-    for key in place.split("."):
-        if not (_is_struct(kind) and isinstance(values, Mapping) and key in values):
-            return {}, None  # within a list: the message has its index already
-        fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
-        values, kind = values[key], fields.get(key)
+    """Return the value at a place such as ``gate.hold_after_s`` or ``ids[0]``, and the type that is wanted there."""
+    for step in _STEPS.findall(place):
+        of = get_args(kind)
+        if _is_struct(kind) and isinstance(values, Mapping) and step in values:
+            fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+            values, kind = values[step], fields.get(step)
+        elif get_origin(kind) in (list, tuple) and isinstance(values, list | tuple):
+            number = int(step[1:-1])
+            values, kind = values[number], of[number if number < len(of) and Ellipsis not in of else 0]
+        elif get_origin(kind) is dict and step == "[...]":  # the message does not say which
+            values, kind = {}, of[1]
+        else:
+            return {}, None
     return values, kind
 
 

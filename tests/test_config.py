@@ -21,6 +21,10 @@ class Outer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     rate_hz: float = 50.0
     pace: Literal["wall", "state"] | None = None
     inner: Inner = Inner()
+    sides: tuple[Literal["left", "right"], ...] = ()
+    shares: dict[Literal["left", "right"], float] = {}
+    modes: list[dict[str, Literal["on", "off"]]] = []
+    range: tuple[float, str] = (0.0, "m")
 
 
 def test_values_fill_the_type() -> None:
@@ -33,7 +37,8 @@ def test_values_fill_the_type() -> None:
     [
         (
             {"name": "a", "rate_hs": 3},
-            "x.yaml: unknown key 'rate_hs' (did you mean 'rate_hz'?); known: inner, name, pace, rate_hz",
+            "x.yaml: unknown key 'rate_hs' (did you mean 'rate_hz'?); known: inner, modes, name, pace, range, rate_hz, "
+            "shares, sides",
         ),
         ({"name": "a", "rate_hz": "fast"}, "x.yaml: rate_hz: expected float, got 'fast'"),
         ({"rate_hz": 1.0}, "x.yaml: missing key name"),
@@ -41,6 +46,16 @@ def test_values_fill_the_type() -> None:
         ({"name": "a", "inner": {"gain": "big"}}, "x.yaml: inner.gain: expected float, got 'big'"),
         ({"name": "a", "inner": 3}, "x.yaml: inner: expected a mapping, got 3"),
         ({"name": "a", "inner": {"gian": 1}}, "x.yaml: inner: unknown key 'gian' (did you mean 'gain'?); known: gain"),
+        (
+            {"name": "a", "sides": ["left", "rigt"]},
+            "x.yaml: sides[1]: expected left or right, got 'rigt' (did you mean 'right'?)",
+        ),
+        ({"name": "a", "sides": [3]}, "x.yaml: sides[0]: expected str, got 3"),
+        ({"name": "a", "shares": {"left": 1, "rigt": 2}}, "x.yaml: shares: expected left or right, got 'rigt'"),
+        ({"name": "a", "shares": {3: 1}}, "x.yaml: shares: expected str, got int"),
+        ({"name": "a", "shares": {"left": "x"}}, "x.yaml: shares[...]: expected float, got str"),
+        ({"name": "a", "modes": [{}, {"k": "of"}]}, "x.yaml: modes[1][...]: expected off or on, got 'of'"),
+        ({"name": "a", "range": [0, 3]}, "x.yaml: range[1]: expected str, got 3"),
     ],
 )
 def test_a_mistake_names_the_place_the_key_and_the_remedy(values: dict[str, object], message: str) -> None:
