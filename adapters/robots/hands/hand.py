@@ -1,8 +1,8 @@
-"""A hand, or a pair of hands, on a robot's DDS network: what it measures, and what it is told.
+"""A hand, or a pair of hands, on a robot's DDS network: reads its state and sends its commands.
 
-Nothing is sent before the first arming. From then on there is a message in every period: targets, or that the hand is
-to be limp, which drops what it holds. A hand has no controller of its own that would have to let go. What stops its
-robot on the remote stops the hand as well, where the robot is heard.
+Nothing is sent before the first arming. From then on every period sends a message: targets, or the command to go limp,
+which drops what the hand holds. A hand has no controller of its own that must let go first. The buttons of the remote
+that stop the robot stop the hand, too, if the robot's states reach it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Messages of hands as arrays, both ways: what a hand measures, and what it is told. Needs nothing but NumPy.
+"""State and command messages of hands as arrays. Needs only NumPy.
 
-| hand | motors in a message | told | limp |
+| hand | motors in a message | command | limp |
 |---|---|---|---|
 | Dex3-1 | 7 of one hand | position, stiffness, damping | no stiffness, no damping |
-| RH56DFX | 6 of the right, then 6 of the left | a part of the way, 1 for open | never: it holds what it was told last |
+| RH56DFX | 6 of the right, then 6 of the left | a part of the way, 1 for open | never: it holds the last command |
 | RH56DFTP | 6 of one hand | the same in thousandths | as RH56DFX |
 
 A message is four bytes of header and a body in CDR, little endian, which pads nothing but numbers.

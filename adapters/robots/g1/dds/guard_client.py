@@ -276,7 +276,7 @@ def _foreign(said: Any) -> str:
 
 
 class GuardClient:
-    """Who commands a G1 through its guard. A context manager.
+    """Commands a G1 through its guard. A context manager.
 
     ::
 
@@ -285,7 +285,7 @@ class GuardClient:
             for tick in ticks:  # 50 Hz
                 status = guard.poll()  # goes on with the handshake; None before the first answer
                 if guard.is_armed:
-                    guard.send(state_tick, q, kp, kd)  # from then on always, else it comes to damping
+                    guard.send(state_tick, q, kp, kd)  # in every tick: a silence makes it damp the motors
 
     Args:
         host, port: Of the guard.
@@ -315,7 +315,7 @@ class GuardClient:
         self.close()
 
     def close(self) -> None:
-        """Close the socket; an armed guard comes to damping when it hears nothing."""
+        """Close the socket; an armed guard that hears nothing damps the motors."""
         self._socket.close()
 
     @property

@@ -37,7 +37,7 @@ _WRITES = Qos(
 
 @dataclass(frozen=True, slots=True)
 class RemoteWriter:
-    """Who writes a topic, as its participant says: nothing here is proven.
+    """Another program that writes a topic, as its DDS participant describes itself. It is not verified.
 
     Attributes:
         host, pid, process: Where it runs; "" where it does not say.
@@ -156,7 +156,7 @@ class Network:
         return is_news
 
     def writers_of(self, topic: str) -> list[RemoteWriter]:
-        """Return who else writes a topic now, without those of this participant."""
+        """Return the other programs that write a topic now; writers of this participant are left out."""
         alive = _alive(self._publications)
         found = [each for each in alive if each.topic_name == topic and str(each.participant_key) != self._own]
         said = {str(each.key): _properties(each) for each in _alive(self._participants)} if found else {}

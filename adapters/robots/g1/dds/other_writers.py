@@ -1,4 +1,4 @@
-"""Who else writes a topic that is ours alone to write."""
+"""Other programs that write a topic which only one may write."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class G1Dds:
             self._battery = codec.f64(rows.battery(battery))
 
     def _of_motors_that_are_there(self, records: NDArray[Any]) -> NDArray[Any]:
-        """Return states in which nothing is told of motors that the robot does not have, whatever it sends for them."""
+        """Return the states with zeros for the motors that the robot does not have, whatever it sends for them."""
         absent = list(ABSENT.get(int(records[-1]["mode_machine"]), ())) if len(records) else []
         if not absent:
             return records

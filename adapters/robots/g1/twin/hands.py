@@ -73,7 +73,7 @@ class Fingers:
         self._go(np.clip(self.dq, -self._fastest, self._fastest) * dt_s, dt_s, stop)
 
     def follow(self, q: Floats, dt_s: float, stop: float) -> None:
-        """Go to where it was told to at its own speed for a period [s]."""
+        """Move towards the commanded positions for a period [s], at the hand's own speed."""
         self._go(np.clip(q - self.q, -self._fastest * dt_s, self._fastest * dt_s), dt_s, stop)
 
     def _go(self, by: Floats, dt_s: float, stop: float) -> None:
@@ -202,7 +202,7 @@ class Dex3Hand(TwinHand):
 
 
 class InspireHand(TwinHand):
-    """One or both of Inspire's hands: they go to where they were told last, and hold that for ever.
+    """One or both Inspire hands: they move to the last commanded positions and hold them, however long ago that was.
 
     Args:
         network: The twin's.
