@@ -74,10 +74,14 @@ $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile torch==2.13.0 --editable '.[test,torch,train]'
 	@touch $@
 
-# Imports all tests once, so that what Python compiles of them is there: else each process of a first run compiles it.
+# Imports all tests, so that what Python compiles of them is there: else each process of a first run compiles it. Twice,
+# with sets in two orders: processes that run tests together must give them the same names in the same order.
 $(VENV)/.collected: $(VENV)/.installed-test
-	@echo "Importing all tests once; this takes half a minute …"
-	@$(BIN)/python -m pytest --collect-only -q >$(VENV)/collected.log || { cat $(VENV)/collected.log; exit 1; }
+	@echo "Importing all tests; this takes a minute …"
+	@for seed in 1 2; do \
+	  PYTHONHASHSEED=$$seed $(BIN)/python -m pytest --collect-only -q >$(VENV)/collected.log || { cat $(VENV)/collected.log; exit 1; }; \
+	  grep :: $(VENV)/collected.log >$(VENV)/tests-$$seed.txt; done
+	@diff $(VENV)/tests-1.txt $(VENV)/tests-2.txt || { echo "These tests are named or ordered by a set: sort it"; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed pyproject.toml

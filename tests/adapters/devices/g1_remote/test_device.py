@@ -64,7 +64,7 @@ def test_sticks_and_buttons_have_the_names_of_a_gamepads(both: Both) -> None:
     assert not any(rested.values())
 
 
-@pytest.mark.parametrize("stop", STOPS, ids="+".join)
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: "+".join(sorted(stop)))
 def test_what_stops_the_robot_stops_the_station_too(both: Both, stop: frozenset[str]) -> None:
     buttons = Buttons(button_map("g1-remote"))
     assert buttons.step(both.shown(), 0.01).started == frozenset()
