@@ -114,7 +114,7 @@ def wire() -> Iterator[Callable[[str, str, int], list[float]]]:
         state = messages.new_state()
 
         def take() -> None:
-            records = messages.states([message for message in reader.take() if messages.is_intact(message)])
+            records = messages.intact_states(reader.take())
             assert len(records) == 1
 
         def take_checked() -> None:

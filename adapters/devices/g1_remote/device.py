@@ -60,7 +60,7 @@ class G1Remote:
 
     def read(self) -> OperatorSample | None:
         """Return sticks and buttons; None if the robot sent no state since the last call, or if its remote is off."""
-        records = messages.states([message for message in self._states.take() if messages.is_intact(message)])
+        records = messages.intact_states(self._states.take())
         if not len(records):
             return None
         self._is_heard = True

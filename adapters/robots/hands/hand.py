@@ -79,7 +79,7 @@ class DdsHand:
         """Return the newest measurement; what came before it since the last call goes to `values`."""
         self._take()
         self._others.poll()
-        said = messages.states([message for message in self._robot.take() if messages.is_intact(message)])
+        said = messages.intact_states(self._robot.take())
         if len(said):
             self._remote.update(np.ascontiguousarray(said["remote"]))
         return RobotState(self._clock.monotonic_ns(), self._q, self._dq, _UPRIGHT, _AT_REST)

@@ -64,6 +64,11 @@ def states(messages: Sequence[bytes]) -> NDArray[Any]:
     return np.frombuffer(b"".join(whole), STATE)
 
 
+def intact_states(messages: Sequence[bytes]) -> NDArray[Any]:
+    """As `states`, without those whose checksum is wrong."""
+    return states([message for message in messages if is_intact(message)])
+
+
 def command(message: bytes) -> NDArray[Any] | None:
     """Return a LowCmd as one record of `CMD`, shape (1,); None for one of another length or byte order."""
     is_whole = len(message) == CMD.itemsize and message[:2] == b"\0\1"

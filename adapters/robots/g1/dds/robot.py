@@ -103,7 +103,7 @@ class G1Dds:
     def _take(self) -> None:
         now_s = self._clock.monotonic_s()
         came = self._states.take()
-        sent = messages.states([message for message in came if messages.is_intact(message)])
+        sent = messages.intact_states(came)
         records = self._of_motors_that_are_there(sent)
         self._monitor.on_states(records, len(came) - len(records), now_s)
         if len(records):

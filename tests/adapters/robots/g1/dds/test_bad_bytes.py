@@ -88,7 +88,7 @@ def test_no_state_of_chance_ends_what_reads_it():
         if number % 3 == 0:  # a lie with a right checksum
             body = good[:4] + chance.randbytes(len(good) - 8) + b"0000"
             came.append(body[:-4] + messages.checksum(body).to_bytes(4, "little"))
-        records = messages.states([message for message in came if messages.is_intact(message)])
+        records = messages.intact_states(came)
         with np.errstate(all="ignore"):
             monitor.on_states(records, len(came) - len(records), number * 0.02)
             if len(records):
