@@ -59,6 +59,7 @@ def writes(servers: Mapping[str, Collection[str]] | None = None) -> dict[str, tu
     for role in _SERVERS:
         names = [_ANY] if servers is None else servers.get(role, ())
         found[role] += tuple(key for name in names for key in (keys.server(name), keys.server_config(name)))
+        found[role] += (keys.clock(_ANY),)
     return found
 
 

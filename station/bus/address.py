@@ -64,6 +64,11 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
         return f"{scheme}://{login}{self.host}:{self.port}/{self.db}"
 
     @property
+    def is_local(self) -> bool:
+        """Whether the server is on this machine, as far as the address says: a tunnel looks like one that is."""
+        return self.socket is not None or self.host == "localhost" or self.host.startswith(("127.", "::1"))
+
+    @property
     def clock(self) -> Clock:
         """Time where the server is reached: the machine's. Whoever talks to the server takes it from here."""
         return SYSTEM

@@ -14,6 +14,7 @@ import hiredis
 from station.bus import address as addresses
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
+from station.bus.clocks import Clocks
 from station.bus.connection import Argument, Connection, ConnectionLost
 from station.bus.outage import Outages
 from station.bus.sample import Sample
@@ -90,6 +91,7 @@ class Bus:
         clock: Time where the bus is.
         connections: How often this object was connected; one more means that the server may have forgotten us.
         outages: What this process suffered from the bus, its watches included.
+        clocks: Of this machine and of others that write to the bus.
 
     Raises:
         BusError: the server cannot be reached or refuses us.
@@ -103,6 +105,7 @@ class Bus:
         self.last_error = ""
         self.connections = 1
         self.outages = Outages(self.clock)
+        self.clocks = Clocks(self.address, self.publish)
         self._timeout_s = timeout_s
         self._lock = self.clock.lock()
         self._closed = threading.Event()
@@ -206,7 +209,7 @@ class Bus:
 
     def watch(self, wanted: Sequence[str]) -> Watch:
         """Return a watch that keeps the newest value of each key at hand; close it after use."""
-        return Watch(self.address, wanted, outages=self.outages)
+        return Watch(self.address, wanted, outages=self.outages, clocks=self.clocks)
 
     def call(self, *arguments: Argument) -> Any:
         """Send any request and return its answer.
@@ -230,6 +233,7 @@ class Bus:
     def close(self) -> None:
         """Close the connection and stop reconnecting."""
         self._closed.set()
+        self.clocks.close()
         with self._lock:
             if self._connection is not None:
                 self._connection.close()

@@ -268,6 +268,7 @@ def _station() -> list[Contract]:
 
 _PREFIXES = {
     keys.SERVER_PREFIX: "health of a server, twice a second",
+    keys.CLOCK_PREFIX: "a machine's clock beside the bus server's, every second",
     keys.CONFIG_PREFIX: "what a server runs: policy, hashes, gains, rates, code revision",
 }
 

@@ -205,11 +205,17 @@ NOT_MIRRORED = "station:tap:not_mirrored"  # on no bus: in recordings, for each 
 _OWN = "station:"  # what they all begin with
 SERVER_PREFIX = "station:server:"
 CONFIG_PREFIX = "station:config:"
+CLOCK_PREFIX = "station:clock:"
 
 
 def server(name: str) -> str:
     """Health of a server: state, process, rate, jitter."""
     return SERVER_PREFIX + name
+
+
+def clock(boot: str) -> str:
+    """What a machine says of its clock, by its boot."""
+    return CLOCK_PREFIX + boot
 
 
 def server_config(name: str) -> str:

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
+from station.bus.clocks import Clocks, Offset
 from station.bus.connection import Connection, ConnectionLost, pack
 from station.bus.hearing import HeardSpan, HearingProof, MissedWrites
 from station.bus.notifications import (
@@ -57,6 +58,7 @@ class Watch:
         address: Where the bus is.
         wanted: Keys to watch.
         outages: Account of the process, in which a cut is noted; None for none.
+        clocks: Of the process, by which a write of another machine has an age; None where nobody asks for that.
         probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
 
     Attributes:
@@ -66,10 +68,16 @@ class Watch:
     """
 
     def __init__(
-        self, address: BusAddress, wanted: Sequence[str], *, outages: Outages | None = None, probe_s: float = _IDLE_S
+        self,
+        address: BusAddress,
+        wanted: Sequence[str],
+        *,
+        outages: Outages | None = None,
+        clocks: Clocks | None = None,
+        probe_s: float = _IDLE_S,
     ) -> None:
         self._address, self.clock = address, address.clock
-        self._outages = outages
+        self._outages, self._clocks = outages, clocks
         self._probe_s = probe_s
         self._hearing = HearingProof(probe_s + _SLACK_S)
         self._told = MissedWrites[Read]()
@@ -292,11 +300,17 @@ class Watch:
         if value is None:
             self._slots.pop(key, None)
         elif known is None or mark != self._newest_mark.get(key):
-            self._slots[key] = Sample(key, value, mark, now_ns)
+            self._slots[key] = Sample(key, value, mark, now_ns, self._clock_of(mark))
         elif is_foreign or value != known.value:
             # The stamp stands still while the value is written: a stock script overwrites a native key.
             self._slots[key] = Sample(key, value, None, now_ns)
         self._newest_mark[key] = mark
+
+    def _clock_of(self, mark: stamp.Stamp | None) -> Offset | None:
+        """Return how the clock of a writer on another machine is to be read here, where that is known."""
+        if mark is None or self._clocks is None or mark.is_from_this_boot:
+            return None
+        return self._clocks.offset_of(stamp.boot_of(mark.source))
 
     def _fetch(self, reader: Connection, wanted: Sequence[str]) -> dict[str, Read]:
         if not wanted:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
+from station.bus.clocks import Clocks
 from station.bus.connection import Connection
 from station.bus.hearing import HeardSpan
 from station.bus.outage import Outages
@@ -68,14 +69,22 @@ class CommandWatch(Watch):
         address: Where the bus is.
         wanted: Keys to watch.
         key: The one of them whose writers are told apart.
-        outages: As of any watch.
+        outages, clocks: As of any watch.
 
     Attributes:
         urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once, and clears it.
         doubtful: Values of `key` that may be of either kind of writer, and were left out.
     """
 
-    def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str, outages: Outages | None = None) -> None:
+    def __init__(
+        self,
+        address: BusAddress,
+        wanted: Sequence[str],
+        *,
+        key: str,
+        outages: Outages | None = None,
+        clocks: Clocks | None = None,
+    ) -> None:
         self._shared_key = key
         self._by_writer: dict[str, Sample] = {}
         self._arrivals: list[Arrival] = []
@@ -86,7 +95,7 @@ class CommandWatch(Watch):
         self._stops = StopTrace()
         self.urgent = threading.Event()
         self.doubtful = 0
-        super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
+        super().__init__(address, wanted, outages=outages, clocks=clocks, probe_s=_PROBE_S)
 
     def pop(self) -> NewWrites:
         """Return the writes since the last call; a loop that was paused finds those of the pause in them.
@@ -296,12 +305,12 @@ def writer_of(sample: Sample) -> str:
 def _command(sample: Sample, now_s: float | None) -> CommandSample:
     arrived_ns, mark = sample.arrived_ns, sample.stamp
     at_s = None if arrived_ns is None else arrived_ns * 1e-9 if now_s is None else now_s
-    is_ours = mark is not None and mark.is_from_this_boot
+    written_ns = sample.written_ns
     return CommandSample(
         value=sample.value,
         arrived_s=at_s,
         delay_s=sample.delay_s if now_s is None else None,  # ticks are no writer's clock
-        written_ns=mark.mono_ns if mark is not None and is_ours else 0,
+        written_ns=written_ns or 0,
         arrived_ns=arrived_ns or 0,
         seq=mark.seq if mark is not None else 0,
         source=writer_of(sample),

@@ -32,6 +32,7 @@ from station.life.policy_request import PolicyAnswer
 from station.life.request import OVERTAKEN, Asked, DoneRequests, NewRequests, parse
 from station.life.server import Life
 from station.life.stop_file import StopKeeper
+from station.life.writer_conflict import FOREIGN
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +77,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         for path in self._paths:
             key, config, is_first = path.command_format.key, path.gate.config, not self._watches
             asked = (*estop.KEYS, keys.ARM, *self._requests) if is_first else ()
-            self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=life.bus.outages))
+            bus, wanted = life.bus, [key, *asked]
+            self._watches.append(CommandWatch(bus.address, wanted, key=key, outages=bus.outages, clocks=bus.clocks))
             arbiter = CommandArbiter(config.rivals, config.return_after_s)
             self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
         self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].command_format.key
@@ -316,7 +318,10 @@ def _age_by(command: CommandSample | None) -> str:
     """Return what tells the age of a command, for people."""
     if command is None:
         return ""
-    return "arrival alone" if command.delay_s is None else "stamp and arrival"
+    if command.delay_s is not None:
+        return "stamp and arrival"
+    is_native = command.source not in ("", FOREIGN) and not command.written_ns
+    return "arrival alone, the clock of its machine is not known" if is_native else "arrival alone"
 
 
 def result_values(

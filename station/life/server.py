@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from station.bus import codec, keys, stamp
+from station.bus import clocks, codec, keys, stamp
 from station.bus.client import Bus
 from station.clock import SYSTEM
 from station.errors import BusError
@@ -90,7 +90,7 @@ class Health(msgspec.Struct, kw_only=True):
         return self.is_alive_at(SYSTEM.wall_ns())
 
     def is_alive_at(self, wall_ns: int) -> bool:
-        """Whether its last word is fresh and no farewell; by wall clocks, so only a hint across machines."""
+        """Whether its last word is fresh and no farewell, by the wall clock of who read it (`read_health`)."""
         is_fresh = wall_ns - self.wall_ns < DEAD_AFTER_S * 1e9
         return self.state != "finalized" and is_fresh and not self._is_dead_process()
 
@@ -134,6 +134,8 @@ class Life:
             config_sha256=config_sha256,
         )  # fmt: skip
         self._publish()
+        if not bus.address.is_local:
+            bus.clocks.start()  # so that our commands have an age where the robot is
         self._heart = self.clock.start(self._beat, "heartbeat")
 
     @property
@@ -232,10 +234,14 @@ class Life:
 
 
 def read_health(bus: Bus) -> list[Health]:
-    """Return what every server that ever spoke on this bus last said, by name."""
+    """Return what every server that ever spoke on this bus last said, by name; when, by this machine's wall clock."""
     names = bus.names(keys.SERVER_PREFIX + "*")
-    found = [decode_health(sample.value) for sample in bus.read(names).values()]
-    return sorted((health for health in found if health is not None), key=lambda health: health.name)
+    found = [health for sample in bus.read(names).values() if (health := decode_health(sample.value)) is not None]
+    elsewhere = {health.boot for health in found} - {stamp.boot_id()}
+    ahead_ns = clocks.walls_ahead_ns(bus.call, elsewhere, bus.clock)
+    for health in found:
+        health.wall_ns -= ahead_ns.get(health.boot, 0)
+    return sorted(found, key=lambda health: health.name)
 
 
 def read_configurations(bus: Bus) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ import msgspec
 from station import assets, libraries, packages, registry, user_config
 from station.arms import remedy_of
 from station.bus import address as addresses
-from station.bus import codec, keys
+from station.bus import clocks, codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.protection import REMEDY, inspect
@@ -84,6 +84,7 @@ def examine(bus: Bus) -> Iterator[Finding]:
     servers = read_health(bus)
     yield from _servers(servers, log_folder(bus.address))
     yield _estop(stop_file.latched(bus))
+    yield from _clocks(bus, [health for health in servers if health.is_alive])
     low_level = [health for health in servers if health.role == "low-level" and health.is_alive]
     for health in low_level:
         yield from _low_level(bus, health)
@@ -146,6 +147,27 @@ def _estop(latched: LatchedStop | None) -> Finding:
     if latched is None:
         return Finding("ok", "e-stop", "released")
     return Finding("broken", "e-stop", latched.found, latched.remedy)
+
+
+def _clocks(bus: Bus, alive: list[Health]) -> Iterator[Finding]:
+    """Yield what is known of the clock of each machine, where servers run on several."""
+    hosts = {health.boot: health.host for health in alive}
+    if len(hosts) < 2:
+        return
+    of_robots = {health.boot for health in alive if health.role == "low-level"}
+    for boot, host in sorted(hosts.items(), key=lambda item: item[1]):
+        subject, statement = f"clock of {host}", clocks.decode_statement(bus.get(keys.clock(boot)), boot)
+        commands = [health.name for health in alive if health.boot == boot and health.role == "command"]
+        if statement is not None:
+            by = {True: ", kept right by its system", False: ", kept right by nothing", None: ""}
+            error_ms, trip_ms = statement.error_ns * 1e-6, statement.round_trip_ns * 1e-6
+            yield Finding("ok", subject, f"known to {error_ms:.1f} ms (round trip {trip_ms:.1f} ms); its wall clock is "
+                          f"{statement.wall_ahead_ns * 1e-9:+.3f} s from the bus server's"
+                          f"{by[statement.is_synchronised]}")  # fmt: skip
+        elif commands and boot not in of_robots:
+            yield Finding("warning", subject, f"not known: commands of {', '.join(commands)} count by arrival alone, "
+                          "so old ones may be followed after a cut",
+                          "reach the bus by a network address there, not by a tunnel to localhost")  # fmt: skip
 
 
 def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import msgspec
 from rich.console import Console, Group, RenderableType
 
-from station.bus import keys
+from station.bus import clocks, keys
 from station.bus import stamp as stamps
 from station.bus.client import Bus
 from station.bus.contracts import Contracts
@@ -61,8 +61,11 @@ class Status(msgspec.Struct, frozen=True):
 def read_status(bus: Bus, meter: RateMeter) -> Status:
     """Return the status of a station whose writes a meter has been counting."""
     rates, described = meter.rates(), Contracts(read_configurations(bus))
-    found = []
-    for key, mark in _stamps(bus).items():
+    found, marks = [], _stamps(bus)
+    elsewhere = {stamps.boot_of(mark.source) for mark in marks.values() if mark and not mark.is_from_this_boot}
+    ahead_ns = clocks.walls_ahead_ns(bus.call, elsewhere, bus.clock)
+    for key, mark in marks.items():
+        written_ns = mark.wall_ns - ahead_ns.get(stamps.boot_of(mark.source), 0) if mark else None
         known, rate = described.get(key), rates.get(key)
         found.append(
             KeyStatus(
@@ -70,7 +73,7 @@ def read_status(bus: Bus, meter: RateMeter) -> Status:
                 role=known.role if known else "unknown",
                 writer=mark.writer if mark else "foreign",
                 rate_hz=rate.rate_hz if rate else 0.0,
-                age_s=_age(rate, mark.wall_ns if mark else None, bus.clock.wall_ns()),
+                age_s=_age(rate, written_ns, bus.clock.wall_ns()),
             )
         )
     in_order = sorted(found, key=lambda item: (_place(item.role), item.key))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from adapters.commands.body import BodyCommand
 from station.bus import codec, stamp
+from station.bus.clocks import Offset
 from station.bus.hearing import HeardSpan
 from station.bus.sample import Sample
 from station.clock import SYSTEM
@@ -51,8 +52,8 @@ class VirtualWatch:
         self._newest: dict[str, Sample] = {}
         self.now_ns = START_NS
 
-    def deliver(self, value: Floats, mark: stamp.Stamp | None) -> Sample:
-        sample = self._slot = Sample(KEY, codec.json_vector(value), mark, self.now_ns)
+    def deliver(self, value: Floats, mark: stamp.Stamp | None, clock: Offset | None = None) -> Sample:
+        sample = self._slot = Sample(KEY, codec.json_vector(value), mark, self.now_ns, clock)
         self._arrivals.append(Arrival(writer_of(sample), self.now_ns, is_clear=True))
         self._newest[writer_of(sample)] = sample
         return sample
@@ -82,10 +83,10 @@ class Robot:
     def now_s(self) -> float:
         return self.watch.now_ns * 1e-9
 
-    def write(self, vector: Floats, ago_s: float = 0.0, boot: str = HERE) -> Sample:
+    def write(self, vector: Floats, ago_s: float = 0.0, boot: str = HERE, clock: Offset | None = None) -> Sample:
         self.seq += 1
-        mono_ns = self.watch.now_ns - round(ago_s * 1e9)
-        return self.watch.deliver(vector, stamp.Stamp(self.seq, mono_ns, 0, f"motion.1.{boot}.n"))
+        mono_ns = self.watch.now_ns - round(ago_s * 1e9) - (clock.ns if clock else 0)
+        return self.watch.deliver(vector, stamp.Stamp(self.seq, mono_ns, 0, f"motion.1.{boot}.n"), clock)
 
     def tick(self) -> Decision:
         self.watch.now_ns += DT_NS
@@ -143,6 +144,30 @@ def test_a_writer_on_another_machine_is_followed_by_arrival_whatever_its_clock_s
     assert Robot().follow(ENDS / 2, ago_s=-1e6, boot=boot).state == "tracking"
 
 
+FAR = {"boot": "eeeeeeee", "clock": Offset(ns=-7_000_000_000_000, error_ns=5_000_000)}
+"""A writer on another machine that was switched on two hours before ours, and whose clock is known to 5 ms."""
+
+
+def test_of_a_machine_whose_clock_is_known_an_old_command_is_refused_and_a_fresh_one_followed() -> None:
+    robot = Robot()
+    assert robot.follow(ENDS / 2, ago_s=0.03, **FAR).state == "tracking"
+    written_ns = robot.watch.now_ns - DT_NS - 30_000_000
+    assert (sample := robot.commanded.validator.good) is not None
+    assert sample.written_ns == written_ns, "on our clock: what an episode keeps, and its audit computes with"
+    robot.write(-ENDS, ago_s=0.3, **FAR)
+    decision = robot.tick()
+    assert robot.commanded.validator.refused == {"stale": 1}
+    np.testing.assert_array_equal(decision.vector, ENDS / 2)
+
+
+def test_what_seems_to_come_from_the_future_by_less_than_its_clock_may_be_wrong_was_written_as_it_came() -> None:
+    robot = Robot()
+    assert robot.follow(ENDS / 2, ago_s=-0.004, **FAR).state == "tracking"
+    assert (sample := robot.commanded.validator.good) is not None
+    assert (sample.delay_s, sample.written_ns) == (0.0, sample.arrived_ns)
+    assert Robot().follow(ENDS / 2, ago_s=-0.05, **FAR).state == "waiting", "by more than that it is a lie"
+
+
 def test_a_stamp_from_the_future_is_none_of_this_machines_clock_and_refused() -> None:
     robot = Robot()
     assert robot.follow(ENDS / 2, ago_s=-5.0).state == "waiting"
@@ -165,11 +190,12 @@ def test_in_lock_step_no_time_of_a_writer_counts() -> None:
 
 # -- any delivery at all -----------------------------------------------------------------------------------------
 
+ERROR_NS = 5_000_000
 LIES = (0, -1, -(10**30), 10**30, 2**63, -(2**63), START_NS + 10**10, 10**400)
 _ago_s = st.one_of(st.floats(0.0, 0.3), st.floats(0.0, 4.0), st.sampled_from([0.0, 0.15, 0.2499, 0.2501, 2.0]))
 _messages = st.tuples(
     st.integers(0, 70),  # the tick that it is delivered in: in any order, many in one, the same more than once
-    st.sampled_from(["one", "one", "one", "two", "elsewhere", "foreign"]),
+    st.sampled_from(["one", "one", "one", "two", "elsewhere", "far", "far", "foreign"]),
     st.one_of(_ago_s, _ago_s, st.sampled_from(LIES)),
     st.sampled_from([1.0, -1.0, 0.5]),
 )
@@ -196,7 +222,8 @@ def expect_nothing_stale_moves(
     """Play deliveries and judge every tick by what was delivered, not by what the gate says of it.
 
     In a tick for which some command is in time, no element leaves the span of where it was, where its blend began and
-    the commands that are in time; in any other tick, it comes no farther from standing.
+    the commands that are in time; in any other tick, it comes no farther from standing. What another machine wrote is
+    in time while it may be, by the error of its clock; by how much that is wrong changes with every command.
     """
     robot, came = Robot(), list[tuple[int, int, Floats]]()  # arrival and delay [ns], command
     by_tick: dict[int, list[tuple[str, float | int, float]]] = {}
@@ -208,10 +235,12 @@ def expect_nothing_stale_moves(
             number = len(came) + 1
             vector, now_ns = sign * ENDS * (0.2 + 0.8 / number), robot.watch.now_ns
             mono_ns = ago if isinstance(ago, int) else now_ns - round(ago * 1e9)
-            boot = "ffffffff" if who == "elsewhere" else HERE
+            boot = {"elsewhere": "ffffffff", "far": "eeeeeeee"}.get(who, HERE)
             mark = None if who == "foreign" else stamp.Stamp(number, mono_ns, 0, f"{who}.1.{boot}.n")
-            robot.watch.deliver(vector, mark)
-            came.append((now_ns, now_ns - mono_ns if who in ("one", "two") else 0, vector))
+            wrong_by_ns = (number * 7 % 11 - 5) * ERROR_NS // 5
+            robot.watch.deliver(vector, mark, Offset(wrong_by_ns, ERROR_NS) if who == "far" else None)
+            delay_ns = now_ns - mono_ns if who in ("one", "two", "far") else 0
+            came.append((now_ns, delay_ns - ERROR_NS if who == "far" else delay_ns, vector))
         decision = robot.tick()
         now_ns = robot.watch.now_ns
         usable = [

@@ -38,7 +38,7 @@ from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.dds import words
 from station import depth, point_cloud
 from station.api.live import Record, Station
-from station.bus import codec, contracts, keys, stamp
+from station.bus import clocks, codec, contracts, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import Write, not_mirrored
@@ -160,6 +160,11 @@ REQUEST: dict[str, Any] = {
 ANSWER = {"id": "7", "ok": True, "episode_id": "e-1", "path": "/d", "reason": "", "summary": {"seconds": 3.5}}
 KEPT_STOP = {"bus": "b", "stop": True, "reason": "so", "since_wall_ns": 1, "asked_ns": 1, "boot": "x"}
 STAMP = stamp.Stamp(7, time.monotonic_ns(), NOW_NS, stamp.new_source("g1"), 5).encode()
+FAR = "0badcafe"
+CLOCK = codec.json_object(clocks.ClockStatement(
+    boot=FAR, host="operator-pc", mono_ns=7, wall_ns=NOW_NS, bus_ns=2 * NOW_NS, error_ns=9, since_bus_ns=0,
+    round_trip_ns=9, comparisons=32, is_synchronised=True, wall_error_ns=5,
+))  # fmt: skip
 TIMING = codec.json_vector([3, 7, *range(10**12, 10**12 + len(TIMING_STAGES))])
 
 
@@ -272,6 +277,21 @@ def _heartbeat(data: bytes) -> None:
         for event in silence_monitor.step([said], now):
             codec.json_object(event)
     codec.json_object(said)
+
+
+def _clock(data: bytes) -> None:
+    statement = clocks.decode_statement(data, FAR)
+    if statement is None:
+        return
+    found = clocks.offset_of(statement, clocks.Offset(NOW_NS, 1_000), 0, NOW_NS)
+    assert found is None or 0 <= found.error_ns <= clocks.MOST_ERROR_NS
+    shelf: Any = Shelf({keys.clock(FAR): data})
+    said = [decode_health(health(name)) for name in ("g1", "motion")]
+    assert said[0] is not None
+    assert said[1] is not None
+    said[1].boot = FAR
+    said[1].wall_ns -= clocks.walls_ahead_ns(shelf.call, [FAR], SYSTEM)[FAR]
+    _shown(*(doctor_text(item) for item in doctor._clocks(shelf, [each for each in said if each is not None])))
 
 
 def _stamped(data: bytes) -> None:
@@ -597,6 +617,7 @@ def _told() -> list[Parser]:
         Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
         Parser("heartbeat", _heartbeat, (health(),), (
             _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
+        Parser("clock of a machine", _clock, (CLOCK,), ("station.bus.clocks",)),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
         Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.summary",)),
         Parser("recorded value", encoding_of, (dumped(GATE), b"x"), (_EPISODE + "storage.channels",)),

@@ -35,6 +35,13 @@ class Shelf:
         """Return the values that there are."""
         return {key: sample for key in keys if (sample := self.latest(key)) is not None}
 
+    def call(self, *arguments: Any) -> Any:
+        """Answer ``TIME`` and ``MGET``."""
+        if arguments == ("TIME",):
+            return [str(part).encode() for part in divmod(time.time_ns() // 1000, 1_000_000)]
+        assert arguments[0] == "MGET"
+        return [self.values.get(key) for key in arguments[1:]]
+
     def latest(self, key: str) -> Sample | None:
         """Return a value as one that has just come."""
         value = self.values.get(key)
