@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 from collections import deque
@@ -76,6 +77,8 @@ log = logging.getLogger(__name__)
 
 _STALL_S = 5.0  # a busy machine may hold a server up for a moment; one silent for longer is taken for frozen
 _SILENT_S = 0.5  # a silence worth telling of: a gate has begun to return by then, and no busy machine is that slow
+_VAIN_S = 0.04  # an answer that is owed for less is on its way
+_FAR_TIMEOUT_S = 1.0  # over a network that loses packets: one that is sent again comes 0.2 s later, or 0.6 s
 _RETRY_S = 0.05  # a restarted local server is back within 25 ms, and a gate returns after 300; a try costs 0.1 ms
 
 
@@ -106,7 +109,8 @@ class Bus:
         self.connections = 1
         self.outages = Outages(self.clock)
         self.clocks = Clocks(self.address, self.publish)
-        self._timeout_s = timeout_s
+        self._is_far = not self.address.is_local
+        self._timeout_s = self._patience_s(timeout_s)
         self._lock = self.clock.lock()
         self._closed = threading.Event()
         self._writes = StampedWrites(self.source, self.clock)
@@ -115,7 +119,7 @@ class Bus:
         self._looks_in_vain = 0  # for answers that are owed, since the server was last heard
         self._refused, self._refused_s = 0, 0.0  # writes in a row that were answered with an error, and since when
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
-        self._connection.set_timeout(timeout_s)
+        self._connection.set_timeout(self._timeout_s)
 
     @property
     def is_connected(self) -> bool:
@@ -130,9 +134,9 @@ class Bus:
     def set_timeout(self, timeout_s: float) -> None:
         """Set the longest wait for any answer [s]."""
         with self._lock:
-            self._timeout_s = timeout_s
+            self._timeout_s = self._patience_s(timeout_s)
             if self._connection is not None:
-                self._connection.set_timeout(timeout_s)
+                self._connection.set_timeout(self._timeout_s)
 
     def publish(self, values: Mapping[str, bytes], *, capture_ns: int | None = None) -> bool:
         """Write keys and their stamps as one atomic command.
@@ -144,7 +148,8 @@ class Bus:
         Returns:
             Whether it is on its way: taken by the server, or handed to one that answers late. When not, the writes
             count as lost (their sequence numbers are spent, so a recording shows the hole) and the connection comes
-            back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait.
+            back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait;
+            to a bus on another machine none does, and whether it took a write is known with a later one.
         """
         with self._lock:
             return self._post(self._writes.encode(values, capture_ns), [len(values)])
@@ -231,11 +236,14 @@ class Bus:
                 raise
 
     def close(self) -> None:
-        """Close the connection and stop reconnecting."""
+        """Close the connection and stop reconnecting; what was written last is on its way for a while at most."""
         self._closed.set()
         self.clocks.close()
         with self._lock:
             if self._connection is not None:
+                if self._is_far:
+                    with contextlib.suppress(ConnectionLost):
+                        self._connection.collect(self._timeout_s)  # a line that is closed may drop what it carries
                 self._connection.close()
                 self._connection = None
 
@@ -247,6 +255,9 @@ class Bus:
     ) -> None:
         self.close()
 
+    def _patience_s(self, timeout_s: float) -> float:
+        return max(timeout_s, _FAR_TIMEOUT_S) if self._is_far else timeout_s
+
     def _post(self, requests: bytes, counts: Sequence[int]) -> bool:
         """Send encoded writes of so many keys each; called with the lock held."""
         if self._connection is None:
@@ -256,7 +267,9 @@ class Bus:
         if not self._connection.owed:
             self._heard_s = self.clock.monotonic_s()  # a long silence of ours is none of the server's
         try:
-            return not self._account(self._connection, self._connection.post(requests, len(counts)))
+            wait_s = 0.0 if self._is_far else self._timeout_s  # a far answer takes longer than a period
+            answers = self._connection.post(requests, len(counts), wait_s=wait_s)
+            return not self._account(self._connection, answers)
         except ConnectionLost as error:
             self._lose(error)
             return False
@@ -284,7 +297,7 @@ class Bus:
         elif now_s - self._heard_s > _STALL_S:
             connection.close()
             raise ConnectionLost(f"bus {self.address}: no answer for {_STALL_S:g} s")
-        else:
+        elif now_s - self._heard_s > _VAIN_S:
             self._looks_in_vain += 1
         return bool(refusals)
 

@@ -82,11 +82,11 @@ class Connection:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
 
-    def post(self, data: bytes, count: int = 1) -> list[Any]:
-        """Send encoded requests, so many as `count`, and wait for their answers no longer than the time-out.
+    def post(self, data: bytes, count: int = 1, *, wait_s: float) -> list[Any]:
+        """Send encoded requests, so many as `count`, and wait for their answers no longer than a time.
 
         While the answer to an earlier one is still owed there is no wait at all, and what the line does not take now
-        is kept and sent by a later call: a server that stalls costs its writer one time-out, and loses nothing.
+        is kept and sent by a later call: a server that stalls costs its writer one wait, and loses nothing.
 
         Returns:
             The answers that have come, oldest first; `owed` tells how many have not.
@@ -98,7 +98,7 @@ class Connection:
         is_behind = self.owed > 0
         self._unsent += data
         self.owed += count
-        return answers + self.collect(0.0 if is_behind else self._timeout_s)
+        return answers + self.collect(0.0 if is_behind else wait_s)
 
     def _send_unsent(self, timeout_s: float) -> None:
         try:

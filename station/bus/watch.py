@@ -41,8 +41,8 @@ _SHORT_S = 1.0  # a connection that lived no longer is not followed by the next 
 _AGAIN_S = 60.0  # the same line is not logged again before
 _POLL_S = 0.002  # where a server refuses notifications: five looks within one period of a 100 Hz writer
 _TIMEOUT_S = 0.25
+_FAR_TIMEOUT_S = 1.0  # of a server on another machine: a lost packet is sent again after 0.2 s, or 0.6 s
 _IDLE_S = 1.0  # a line that was silent for so long is probed
-_NOTICED_S = _IDLE_S + _TIMEOUT_S  # a server that is frozen for so long is given up
 _SOON_S = 0.001  # what is here already is taken before a server is given up
 _SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
 _ASKED = b"now"  # tells the answer of `_drain` from that of a probe
@@ -79,6 +79,8 @@ class Watch:
         self._address, self.clock = address, address.clock
         self._outages, self._clocks = outages, clocks
         self._probe_s = probe_s
+        self._timeout_s = _TIMEOUT_S if address.is_local else _FAR_TIMEOUT_S
+        self._noticed_s = _IDLE_S + self._timeout_s  # a server that is frozen for so long is given up
         self._hearing = HearingProof(probe_s + _SLACK_S)
         self._told = MissedWrites[Read]()
         self._asked_ns = self._answered_ns = self._newest_ns = self._began_ns = 0
@@ -96,7 +98,7 @@ class Watch:
         self.connections = 0
         self._events: Connection | None = None
         self._thread = self.clock.start(self._run, "bus-watch")
-        self.clock.wait(self._armed, _TIMEOUT_S * 4)  # so that a value written after this returns counts as new
+        self.clock.wait(self._armed, self._timeout_s * 4)  # so that a value written after this returns counts as new
 
     @property
     def heard(self) -> HeardSpan:
@@ -159,12 +161,12 @@ class Watch:
                 self.clock.wait(self._closed, _RETRY_S)
 
     def _follow(self) -> None:
-        reader = Connection(self._address, timeout_s=_TIMEOUT_S)
+        reader = Connection(self._address, timeout_s=self._timeout_s)
         try:
             if not enable_notifications(reader):
                 self._poll(reader)
                 return
-            self._events = events = Connection(self._address, timeout_s=_TIMEOUT_S)
+            self._events = events = Connection(self._address, timeout_s=self._timeout_s)
             try:
                 self._listen(events, reader)
             finally:
@@ -175,7 +177,7 @@ class Watch:
 
     def _listen(self, events: Connection, reader: Connection) -> None:
         channels = [self._prefix + name for key in self._keys for name in (key, keys.stamp(key))]
-        subscribe(events, channels, _TIMEOUT_S)
+        subscribe(events, channels, self._timeout_s)
         self._fill_at_start(reader)
         self._asked_ns = self._answered_ns = self._newest_ns = self.clock.monotonic_ns()
         while not self._closed.is_set():
@@ -203,7 +205,7 @@ class Watch:
             self._asked_ns, is_owed = now_ns, True
             self._read_unasked(reader)
             events.send("PING")
-        wait_s = _NOTICED_S - self._probe_s if is_owed else self._probe_s
+        wait_s = self._noticed_s - self._probe_s if is_owed else self._probe_s
         end_ns = self._asked_ns + round(wait_s * 1e9)
         try:
             return events.receive(max((end_ns - self.clock.monotonic_ns()) * 1e-9, _SOON_S))
@@ -216,9 +218,9 @@ class Watch:
     def _read_unasked(self, reader: Connection) -> None:
         """Read everything unasked, before a question is put on the other line; expect that writes are to be told."""
         self._cut_ns = self._newest_ns
-        reader.set_timeout(_NOTICED_S - self._probe_s)
+        reader.set_timeout(self._noticed_s - self._probe_s)
         flags, values = reader.send_packed(self._look_request, 2)
-        reader.set_timeout(_TIMEOUT_S)
+        reader.set_timeout(self._timeout_s)
         if missing_events(flags := flags_of(flags)):
             self._cut_ns = self._hearing.span.until_ns
             raise ConnectionLost(f"bus {self._address}: {taken_away(flags)}")
@@ -252,7 +254,7 @@ class Watch:
         events.send("PING", _ASKED)
         while True:
             try:
-                message = events.receive(_TIMEOUT_S)
+                message = events.receive(self._timeout_s)
             except TimeoutError:
                 raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
             is_probe_owed = self._answered_ns < self._asked_ns

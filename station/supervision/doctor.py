@@ -236,14 +236,16 @@ def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
 
 
 def _sources(watch: Watch, key: str) -> dict[str, int]:
-    """Count the writes of each source to a key for a moment."""
-    counts: dict[str, int] = {}
+    """Count the writes of each source to a key for a moment; native ones by their numbers, so also those not seen."""
+    counts, first = dict[str, int](), dict[str, int]()
     newest, deadline = None, watch.clock.monotonic_s() + _LOOK_S
     while (remaining := deadline - watch.clock.monotonic_s()) > 0:
         sample = watch.wait(key, after=newest, timeout_s=remaining)
         if sample is not None:
             source = _who(sample)
             counts[source] = counts.get(source, 0) + 1
+            if sample.stamp is not None:
+                counts[source] = sample.stamp.seq - first.setdefault(source, sample.stamp.seq) + 1
             newest = sample
     return counts
 

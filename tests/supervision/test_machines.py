@@ -92,3 +92,17 @@ def test_health_is_what_it_was_where_all_run_on_one_machine(bus_server: BusAddre
         _health(bus, "g1", boot=stamp.boot_id())
         said = codec.parse_struct(bus.get(keys.server("g1")) or b"", Health)
         assert read_health(bus) == [said]
+
+
+def test_the_doctor_counts_writes_that_it_did_not_see_one_by_one(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
+
+        def write() -> None:
+            for _ in range(10):
+                bus.publish_in_turn([({"k": b"v"}, None)] * 10)
+                bus.clock.sleep(0.02)
+
+        writer = bus.clock.start(write, "writer")
+        ((_, count),) = doctor._sources(watch, "k").items()
+        bus.clock.join(writer)
+    assert 80 <= count <= 100
