@@ -108,7 +108,7 @@ class Bus:
         self.last_error = ""
         self.connections = 1
         self.outages = Outages(self.clock)
-        self.clocks = Clocks(self.address, self.publish)
+        self.clocks = Clocks(self.address)
         self._is_far = not self.address.is_local
         self._timeout_s = self._patience_s(timeout_s)
         self._lock = self.clock.lock()

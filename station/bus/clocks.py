@@ -2,8 +2,8 @@
 
 Each machine compares its monotonic clock with the time of the bus server (``TIME``, which any client may ask), and says
 what it found on a key of its own. Two machines that say so know each other's clocks; neither has to answer the other.
-An answer that came within a time leaves half of that in doubt, so every offset has an error that is a bound, as far as
-both clocks run alike (`_DRIFT`).
+The server's answer was given between question and answer, so every offset has an error that is a bound, as far as both
+clocks run alike (`_DRIFT`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
+import math
 import socket
 import threading
 from collections import deque
@@ -27,14 +28,14 @@ from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
-KEPT = 32
-"""Comparisons that count: the best of so many is 1.2 ms off where one alone is 18 (a line of 5 ± 10 ms, 1 % lost)."""
+KEPT = 64
+"""Comparisons that count."""
 
 MOST_ERROR_NS = 100_000_000
 """A clock that is not known better than to this is not known [ns]."""
 
-_PERIOD_S = 0.1
-_PER_STATEMENT = 10  # comparisons: a statement a second
+_PERIOD_S, _FIRST_PERIOD_S = 0.1, 0.02  # between comparisons; the second until there are enough
+_STATES_EVERY_S, _FIRST_STATES_EVERY_S = 1.0, 0.25
 _TIMEOUT_S, _RETRY_S = 1.0, 1.0
 _DRIFT = 1e-4  # how much faster one clock may run than another: two quartzes of 50 ppm each
 _RESOLUTION_NS = 1_000  # of the server's answer
@@ -58,7 +59,7 @@ class ClockStatement(msgspec.Struct, kw_only=True):
         bus_ns: The same one by the bus server's wall clock [ns].
         error_ns: By how much `bus_ns` may be wrong [ns].
         since_bus_ns: From when on the bus server's clock has run without a leap, as far as this machine has seen [ns].
-        round_trip_ns: Of the best comparison [ns].
+        round_trip_ns: Of the quickest comparison [ns].
         comparisons: How many counted.
         is_synchronised: Whether something (chrony, ntpd, PTP) keeps its wall clock right, by its kernel's word; None
             where the kernel does not say.
@@ -132,12 +133,22 @@ class BusTime:
     def __len__(self) -> int:
         return len(self._kept)
 
-    def best(self, mono_ns: int) -> tuple[Offset, int] | None:
-        """Return the offset from the monotonic clock to the bus's at an instant, and its round trip [ns]."""
+    def best(self, mono_ns: int) -> Offset | None:
+        """Return the offset from the monotonic clock to the bus's at an instant; None before the first comparison.
+
+        Each comparison says where the offset is at least and at most. What all of them leave is half as wide as the
+        quickest way there and the quickest way back together, though none may have been quick both ways.
+        """
         if not self._kept:
             return None
-        best = min(self._kept, key=lambda each: each.error_at(mono_ns))
-        return Offset(best.offset_ns, best.error_at(mono_ns)), best.round_trip_ns
+        bounds = [(each.offset_ns, each.error_at(mono_ns)) for each in self._kept]
+        least, most = max(ns - error_ns for ns, error_ns in bounds), min(ns + error_ns for ns, error_ns in bounds)
+        return Offset((least + most) // 2, (most - least + 1) // 2)
+
+    @property
+    def round_trip_ns(self) -> int:
+        """The shortest one of the comparisons that count [ns]."""
+        return min(each.round_trip_ns for each in self._kept)
 
 
 def offset_of(theirs: ClockStatement, own: Offset, own_since_bus_ns: int, mono_ns: int) -> Offset | None:
@@ -165,11 +176,14 @@ class Clocks:
 
     Args:
         address: Where the bus is.
-        publish: Writes to the bus.
+
+    Attributes:
+        publish: Writes to the bus what this machine's clock says; None for who only looks.
     """
 
-    def __init__(self, address: BusAddress, publish: Callable[[Mapping[str, bytes]], object]) -> None:
-        self._address, self._clock, self._publish = address, address.clock, publish
+    def __init__(self, address: BusAddress) -> None:
+        self._address, self._clock = address, address.clock
+        self.publish: Callable[[Mapping[str, bytes]], object] | None = None
         self._time, self._lock = BusTime(), threading.Lock()
         self._theirs: dict[str, ClockStatement | None] = {}
         self._closed = threading.Event()
@@ -198,44 +212,48 @@ class Clocks:
                 self._theirs[boot] = None  # from now on it is asked for
                 self.start()
             return None
+        return self._offset_of(theirs)
+
+    def _offset_of(self, theirs: ClockStatement) -> Offset | None:
         now_ns = self._clock.monotonic_ns()
         with self._lock:
             best, since_bus_ns = self._time.best(now_ns), self._time.since_bus_ns
-        return None if best is None else offset_of(theirs, best[0], since_bus_ns, now_ns)
+        return None if best is None else offset_of(theirs, best, since_bus_ns, now_ns)
 
     def _run(self) -> None:
-        said = ""
         while not self._closed.is_set():
             try:
                 with contextlib.closing(Connection(self._address, timeout_s=_TIMEOUT_S)) as line:
                     self._line = line
                     self._measure(line)
             except BusError as error:
-                if not self._closed.is_set() and str(error) != said:
-                    said = str(error)
-                    log.info("clocks: %s", error)
+                log.debug("clocks: %s", error)  # whoever reads or writes says so
                 self._clock.wait(self._closed, _RETRY_S)
 
     def _measure(self, line: Connection) -> None:
-        number = 0
+        stated_s = -math.inf
         while not self._closed.is_set():
             asked_ns = self._clock.monotonic_ns()
             bus_ns = _instant(line.call("TIME"))
             answered_ns = self._clock.monotonic_ns()
             with self._lock:
                 has_leapt = self._time.add(asked_ns, bus_ns, answered_ns)
-            if has_leapt or number % _PER_STATEMENT == 0:
+            is_begun = len(self._time) >= KEPT
+            now_s = self._clock.monotonic_s()
+            if has_leapt or now_s - stated_s >= (_STATES_EVERY_S if is_begun else _FIRST_STATES_EVERY_S):
+                stated_s = now_s
                 self._state()
                 self._ask(line)
-            number += 1
-            self._clock.wait(self._closed, _PERIOD_S)
+            self._clock.wait(self._closed, _PERIOD_S if is_begun else _FIRST_PERIOD_S)
 
     def _state(self) -> None:
+        if self.publish is None:
+            return
         now_ns, wall_ns = self._clock.monotonic_ns(), self._clock.wall_ns()
         with self._lock:
-            best, since_bus_ns, count = self._time.best(now_ns), self._time.since_bus_ns, len(self._time)
-        assert best is not None
-        offset, round_trip_ns = best
+            offset, since_bus_ns, count = self._time.best(now_ns), self._time.since_bus_ns, len(self._time)
+            round_trip_ns = self._time.round_trip_ns
+        assert offset is not None
         is_synchronised, wall_error_ns = kernel_says()
         statement = ClockStatement(
             boot=stamp.boot_id(), host=socket.gethostname(), mono_ns=now_ns, wall_ns=wall_ns,
@@ -243,12 +261,20 @@ class Clocks:
             round_trip_ns=round_trip_ns, comparisons=count, is_synchronised=is_synchronised,
             wall_error_ns=wall_error_ns,
         )  # fmt: skip
-        self._publish({keys.clock(statement.boot): codec.json_object(statement)})
+        self.publish({keys.clock(statement.boot): codec.json_object(statement)})
 
     def _ask(self, line: Connection) -> None:
         wanted = list(self._theirs)
         for boot, data in zip(wanted, line.call("MGET", *map(keys.clock, wanted)) if wanted else [], strict=True):
-            self._theirs[boot] = decode_statement(data, boot) or self._theirs[boot]
+            if (new := decode_statement(data, boot)) is not None:
+                self._theirs[boot] = self._better(self._theirs[boot], new)
+
+    def _better(self, known: ClockStatement | None, new: ClockStatement) -> ClockStatement:
+        """Return which statement to go by: each process of a machine makes its own, a new one a worse one."""
+        before = None if known is None else self._offset_of(known)
+        after = self._offset_of(new)
+        is_worse = before is not None and after is not None and before.error_ns < after.error_ns
+        return known if known is not None and is_worse else new
 
 
 def walls_ahead_ns(call: Callable[..., Any], boots: Iterable[str], clock: Clock) -> dict[str, int]:

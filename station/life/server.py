@@ -134,6 +134,7 @@ class Life:
             config_sha256=config_sha256,
         )  # fmt: skip
         self._publish()
+        bus.clocks.publish = bus.publish
         if not bus.address.is_local:
             bus.clocks.start()  # so that our commands have an age where the robot is
         self._heart = self.clock.start(self._beat, "heartbeat")

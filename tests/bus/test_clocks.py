@@ -47,7 +47,7 @@ class Machine:
     def best(self, true_ns: int) -> Offset:
         found = self.time.best(self.mono_ns(true_ns))
         assert found is not None
-        return found[0]
+        return found
 
     def says(self, true_ns: int) -> ClockStatement:
         best, mono_ns = self.best(true_ns), self.mono_ns(true_ns)
@@ -161,6 +161,7 @@ def test_the_kernel_says_whether_the_wall_clock_is_kept_right() -> None:
 def test_a_machine_says_what_its_clock_is_beside_a_real_servers(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="one") as bus:
         assert bus.read([keys.clock(stamp.boot_id())]) == {}, "nobody asked"
+        bus.clocks.publish = bus.publish
         bus.clocks.start()
         deadline_s = time.monotonic() + 10.0
         while (said := decode_statement(bus.get(keys.clock(stamp.boot_id())), stamp.boot_id())) is None:
@@ -168,6 +169,21 @@ def test_a_machine_says_what_its_clock_is_beside_a_real_servers(bus_server: BusA
             time.sleep(0.02)
     assert abs(said.to_bus - (time.time_ns() - time.monotonic_ns())) <= said.error_ns + MS
     assert abs(said.wall_ns - said.bus_ns) <= said.error_ns + MS, "one machine, one wall clock"
+
+
+def test_of_two_statements_of_a_machine_the_better_one_counts_whichever_came_last(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="one") as bus:
+        bus.clocks.offset_of("aaaaaaaa")
+        for off_ns, error_ns in ((0, MS), (20 * MS, 30 * MS)):  # of a process that has just begun to measure
+            now_ns = time.time_ns()
+            bus.publish({keys.clock("aaaaaaaa"): codec.json_object(ClockStatement(
+                boot="aaaaaaaa", host="other", mono_ns=time.monotonic_ns(), wall_ns=now_ns, bus_ns=now_ns + off_ns,
+                error_ns=error_ns, since_bus_ns=0, round_trip_ns=0, comparisons=1,
+            ))})  # fmt: skip
+            time.sleep(1.5)
+        found = bus.clocks.offset_of("aaaaaaaa")
+    assert found is not None
+    assert (abs(found.ns) < 5 * MS, found.error_ns < 5 * MS) == (True, True)
 
 
 def test_another_machines_clock_is_asked_for_once_it_writes(bus_server: BusAddress) -> None:

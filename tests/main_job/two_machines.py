@@ -1,0 +1,128 @@
+"""A robot on one machine, who commands it on another, and a bad line between them; and a judge of what was recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.robots.g1 import twist_keys
+from station import Station, open_episode
+from station.bus import codec, keys, stamp
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.clocks import KEPT, decode_statement
+from station.contract import TIMING_STAGES
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
+from station.life.server import Health
+from tests.cli.running import Home, Running, new_home
+from tests.network_link import machine
+from tests.network_link.far_bus import PORT, far_bus
+from tests.network_link.link import Link
+
+AHEAD_S, BOOT = 7200, "0badcafe"
+"""What the operator's monotonic clock is ahead of the robot's, and the name of its boot."""
+OWN_ERROR_S = 0.001
+"""Of the clock of the robot's machine, on which the bus runs."""
+LIMIT_S = 0.25
+"""An older command moves nothing."""
+WRITTEN, OBSERVED = TIMING_STAGES.index("command_written"), TIMING_STAGES.index("observed")
+
+
+class Site(NamedTuple):
+    """A bus and a robot on one machine, a motion on the other, and a recorder on either."""
+
+    link: Link
+    robot: Home
+    operator: Home
+    bus: BusAddress
+    motion: Running
+
+    def server(self, name: str) -> Health | None:
+        """What a server says of itself."""
+        with Station(self.bus.url) as station:
+            return next((health for health in station.servers() if health.name == name), None)
+
+    def seen(self) -> dict[str, object]:
+        """What the robot's server says of the robot."""
+        health = self.server("g1")
+        return {} if health is None else health.detail
+
+    def knows_clock(self) -> bool:
+        """Whether the operator's machine has compared its clock often enough."""
+        with Bus(self.bus, name="test", timeout_s=5.0) as bus:
+            said = decode_statement(bus.get(keys.clock(BOOT)), BOOT)
+        return said is not None and said.comparisons >= KEPT
+
+    def stale(self) -> int:
+        """How many commands the robot's server has refused for their age."""
+        refused = self.seen().get("refused")
+        return int(refused.get("stale", 0)) if isinstance(refused, dict) else 0
+
+
+@contextmanager
+def two_machines(*, recorder_is_far: bool) -> Iterator[Site]:
+    """Have them, with a line of 5 ± 10 ms that loses 1 %."""
+    with far_bus(seed=5) as far, ExitStack() as stack:
+        operator = stack.enter_context(new_home((*far.there.end.prefix, *machine.prefix(AHEAD_S, BOOT))))
+        operator.environment |= {
+            "STATION_BUS": f"redis://{far.there.host}:{PORT}/0", "STATION_BUS_PASSWORD_FILE": str(far.secret),
+        }  # fmt: skip
+
+        def serve(home: Home, server: str, *sets: str) -> Running:
+            words = [word for each in sets for word in ("--set", each)]
+            running = stack.enter_context(home.running("serve", server, *words))
+            running.wait_for(f"{server} is active")
+            return running
+
+        serve(far.home, "g1")
+        serve(operator if recorder_is_far else far.home, "recorder")
+        far.link.change(delay_s=0.005, jitter_s=0.01, loss=0.01)
+        motion = serve(operator, "motion", "motion=builtin:wave", "loop=true")
+        yield Site(far.link, far.home, operator, far.here, motion)
+
+
+def judge(folder: Path, most_off_s: float = math.inf) -> None:
+    """Expect that the robot followed no command older than the limit, by clocks that know better than the station.
+
+    Args:
+        folder: The episode.
+        most_off_s: By how much the operator's clock may be taken wrongly [s], whatever is said of its error.
+    """
+    key = twist_keys.action_body()
+    reader = EpisodeReader(signals_file(folder))
+    marks = [stamp.decode(message.stamp or b"") for message in reader.messages([key], stamps=True)]
+    truly_s = {mark.seq: mark.mono_ns * 1e-9 - AHEAD_S for mark in marks if mark is not None}
+    steps = open_episode(folder).steps()
+    by_tick = {int(row[0]): row[2:] * 1e-9 for row in _timing(reader)}  # by the robot's clock, wherever it was recorded
+    instants = np.array([by_tick[tick] for tick in steps.timing["tick"].astype(int)])
+    written_s, used_s = instants[:, WRITTEN], instants[:, OBSERVED]
+    is_known = written_s > 0
+    first = int(np.argmax(is_known))  # before it is the pre-roll, in which the clock was not known yet
+    assert is_known[first:].all()
+    truth_s = np.array([truly_s.get(number, np.nan) for number in steps.timing["command_seq"].astype(int)])
+    judged = is_known & np.isfinite(truth_s)  # what was written before the pre-roll is in no recording
+    said = [decode_statement(message.data, BOOT) for message in reader.messages([keys.clock(BOOT)])]
+    assert len(said) >= 3, "every second, in the recording"
+    bound_s = max(statement.error_ns for statement in said if statement is not None) * 1e-9 + OWN_ERROR_S
+    off_s = np.abs(written_s - truth_s)[judged]
+    assert off_s.max() <= min(bound_s, most_off_s), "as the robot's machine took it"
+    for statement in said:
+        assert statement is not None
+        wrong_s = (statement.to_bus - (statement.wall_ns - statement.mono_ns)) * 1e-9  # both have one wall clock
+        assert abs(wrong_s) <= statement.error_ns * 1e-9 + OWN_ERROR_S
+    follows = judged & np.isin(steps.gate, ["entering", "tracking"])
+    assert follows.sum() > 50
+    assert (used_s - truth_s)[follows].max() <= LIMIT_S + bound_s
+
+
+def _timing(reader: EpisodeReader) -> Iterator[NDArray[np.float64]]:
+    """The rows of `policy_timing`: tick, number of the command, and the instants of the step [ns]."""
+    for message in reader.messages([keys.policy_timing(twist_keys.TWIST2_ROBOT)]):
+        yield codec.parse_json_vector(message.data)
