@@ -227,5 +227,8 @@ PAGES = {
     }, _quad_lab, inside="quad-lab"),
 }  # fmt: skip
 
-PLAYED_BY = {"docs/notebook.md": "tests/api/test_notebook_page.py"}
+PLAYED_BY = {
+    "docs/hosts.md": "tests/main_job/test_hosts_page.py",
+    "docs/notebook.md": "tests/api/test_notebook_page.py",
+}
 """Pages whose commands need more than a folder, and the tests that play them."""

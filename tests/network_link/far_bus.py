@@ -56,6 +56,15 @@ class FarBus(NamedTuple):
     secret: Path
 
 
+def opened_bus(home: Home) -> BusAddress:
+    """Wait for a bus that is open to the network; return where it is beside it, with its password."""
+    secret = password_file.beside(Path(home.bus.socket or ""))
+    wait_until(secret.exists)
+    here = msgspec.structs.replace(home.bus, password=next(iter(password_file.read(secret).values())))
+    wait_until(lambda: bus_answers(here))
+    return here
+
+
 @contextmanager
 def far_bus(seed: int = 0) -> Iterator[FarBus]:
     """Lay the cable, and start the bus at its first end."""
@@ -65,9 +74,6 @@ def far_bus(seed: int = 0) -> Iterator[FarBus]:
         home.running("bus", "start", "--bind", ADDRESSES[0]),
     ):
         secret = password_file.beside(Path(home.bus.socket or ""))
-        wait_until(secret.exists)
-        password = next(iter(password_file.read(secret).values()))
-        here = msgspec.structs.replace(home.bus, password=password)
-        wait_until(lambda: bus_answers(here))
-        there = FarAddress(host=ADDRESSES[0], port=PORT, password=password, end=link.ends[1])
+        here = opened_bus(home)
+        there = FarAddress(host=ADDRESSES[0], port=PORT, password=here.password, end=link.ends[1])
         yield FarBus(link, home, here, there, secret)
