@@ -38,7 +38,7 @@ from station.control.command_arbiter import CommandArbiter
 from station.control.command_path import CommandPath
 from station.control.command_receiver import CommandReceiver, CommandWatch
 from station.control.command_validator import CommandSample, Refusal, check_command
-from station.control.gate import FOLLOWING, GateConfig
+from station.control.gate import FOLLOWING, Decision, GateConfig
 from station.control.parted_path import PartedPath
 from station.life import estop
 from station.life.events import Severity
@@ -473,7 +473,8 @@ class OurCockpit:
         for part, of_part in zip(self._parts.values(), decision.parts, strict=True):
             part.vector = of_part.vector
         self._send()
-        self._publish(now_s)
+        self._life.bus.publish(self._values(decision))
+        self._tell(now_s)
 
     def _where(self, name: str, now_s: float) -> Floats | None:
         """Return where their robot has an arm that was not commanded yet, if it says so."""
@@ -539,7 +540,16 @@ class OurCockpit:
                 self._life.event("lcm-unsent", severity=severity, channel=name, reason=why_not, ended=not why_not)
                 self._why_unsent = why_not
 
-    def _publish(self, now_s: float) -> None:
+    def _values(self, decision: Decision) -> dict[str, bytes]:
+        """Return what a commander has to know of each part, by key: whether it is followed, and where the part is."""
+        values: dict[str, bytes] = {}
+        for part, of_part in zip(self._parts.values(), decision.parts, strict=True):
+            robot = part.path.command_format.robot
+            values[keys.command_gate(robot)] = codec.json_object(part.path.status(of_part))
+            values[keys.command_used(robot)] = codec.f64(part.vector)
+        return values
+
+    def _tell(self, now_s: float) -> None:
         for each in self._all.taken():
             self._life.event(each.name, severity=each.severity, **each.detail)
         moved = [part for name, part in self._parts.items() if self._is_begun(name)]

@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -20,7 +21,7 @@ import pytest
 
 from adapters.lcm import types
 from adapters.lcm.homie import STATE_CHANNEL, command_of, routes
-from adapters.lcm.multicast import GROUP, Received
+from adapters.lcm.multicast import GROUP, PORT, Received
 from adapters.lcm.packet import datagrams
 from servers.lcm import LATE_S, SILENT_S, ChannelIntake, LcmConfig
 from station.bus import codec, keys
@@ -204,22 +205,16 @@ def test_ten_thousand_damaged_datagrams_reach_no_key_and_end_nothing(bridge: Lcm
     assert bridge.vectors(LEGS)[0] == WALK
 
 
-def test_lcms_own_library_drives_through_the_bridge(bridge: LcmStation) -> None:
+def test_the_cockpit_of_the_page_drives_through_the_bridge_by_lcms_own_library(bridge: LcmStation) -> None:
     expect_library()
-    cockpit = (
-        "import sys, time, lcm\n"
-        "to = lcm.LCM(f'udpm://239.255.76.67:{sys.argv[1]}?ttl=0')\n"
-        "while True:\n"
-        "    to.publish('pedal_command', bytes.fromhex(sys.argv[2]))\n"
-        "    time.sleep(0.02)\n"
-    )
+    page = (ROOT / "docs" / "lcm.md").read_text(encoding="utf-8")
+    (cockpit,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     with multicast_loopback() as inside:
-        bridge.start("their-cockpit", inside=inside)
-        words = [*inside, sys.executable, "-c", cockpit, str(bridge.port), message("pedal_command", WALK).hex()]
-        with subprocess.Popen(words, cwd=ROOT) as theirs:
+        bridge.start("their-cockpit", inside=inside, port=PORT)
+        with subprocess.Popen([*inside, sys.executable, "-c", cockpit], cwd=ROOT) as theirs:
             bridge.until(lambda: len(bridge.written[LEGS]) > 50)
             theirs.kill()
-        assert bridge.vectors(LEGS)[-1] == WALK
+        assert bridge.vectors(LEGS)[-1] == [0.4, 0.0, 0.0, 0.74]
         bridge.until(lambda: bridge.told("lcm-silent"))
 
 
