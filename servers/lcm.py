@@ -190,7 +190,7 @@ class ChannelIntake:
         self._taken: Taken | None = None
         self._delay_s = 0.0
         self._is_live = False
-        self._refusing = ""
+        self._refused_s: float | None = None  # when a message was refused last; None once that is over
         self._events: list[tuple[str, Severity, dict[str, Any]]] = []
 
     @property
@@ -206,19 +206,16 @@ class ChannelIntake:
             now_s: The instant [s].
         """
         arrived_s, sender = received.arrived_ns * 1e-9, _spoken(received.sender)
-        if not self._senders.on_write(sender, arrived_s):
-            self.dropped["second-sender"] += 1
-            return None
         found = self._values(received.message, now_s - arrived_s)
         if isinstance(found, Dropped):
             self.dropped[found.kind] += 1
-            if found.kind != self._refusing:
-                self._refusing = found.kind
+            if self._refused_s is None:
                 self._tell("lcm-refused", "warning", reason=f"{found.kind}: {found.text}", sender=sender)
+            self._refused_s = now_s
             return None
-        if self._refusing:
-            self._refusing = ""
-            self._tell("lcm-good-again", "info", dropped=self.dropped.total())
+        if not self._senders.on_write(sender, arrived_s):
+            self.dropped["second-sender"] += 1
+            return None
         return Taken(found, arrived_s, sender)
 
     def record(self, taken: Taken, now_s: float) -> None:
@@ -243,6 +240,9 @@ class ChannelIntake:
                 "lcm-silent", "warning", sender=self._taken.sender, passed=self.passed,
                 then="nothing is written for " + ", ".join(self.route.channel.parts),
             )  # fmt: skip
+        if self._refused_s is not None and now_s - self._refused_s > SILENT_S:
+            self._refused_s = None
+            self._tell("lcm-refused", "info", ended=True, dropped=dict(self.dropped))
         for news in self._senders.pop_news(now_s):
             severity: Severity = "warning" if news.kind == "rivals" else "info"
             name = "lcm-handover" if news.kind == "handover" else "lcm-second-sender"
@@ -345,6 +345,8 @@ class TheirCockpit:
 class CommandedPart:
     """A part of their robot: the command's way to it, its writers, and where it rests.
 
+    One that was never commanded is asked to stay where it is.
+
     Args:
         life: The server's.
         path: Validator and gate.
@@ -352,6 +354,7 @@ class CommandedPart:
 
     Attributes:
         vector: What their robot is asked for, shape (m,).
+        is_begun: Whether it was commanded yet.
     """
 
     def __init__(self, life: Life, path: CommandPath, watch: CommandWatch) -> None:
@@ -361,7 +364,9 @@ class CommandedPart:
             watch, command_format.key, CommandArbiter(config.rivals, config.return_after_s)
         )
         self._clock = life.clock
-        self.vector: Floats = command_format.default.copy()
+        start = homie.HANDS_AT_START.get(path.part, command_format.default)
+        self.vector: Floats = np.clip(start, command_format.lower, command_format.upper)
+        self.is_begun = False
         self._home = None if path.part.endswith("_hand") else command_format.default
         self._speed = np.full(len(self.vector), HEIGHT_M_S if command_format.velocities else ARMS_RAD_S)
         fastest = np.maximum(-command_format.lower, command_format.upper)
@@ -391,14 +396,14 @@ class CommandedPart:
         """Say to the gate of a part that has no way back where it is now; call before each decision.
 
         Args:
-            measured: Where their robot has it, shape (m,); None where that is not known, or was followed already.
+            measured: Where their robot has it, shape (m,); None where that is not known, or the channel has begun.
             dt_s: The period [s].
         """
         if not self.path.command_format.holds_position:
             return
         if measured is not None:
             self.vector = measured
-        elif self.path.gate.state == "waiting":
+        elif self.is_begun and self.path.gate.state == "waiting":
             self.bring_home(dt_s)
         self.path.gate.rest(self.vector)
 
@@ -426,7 +431,7 @@ class OurCockpit:
         self._unsent, self._why_unsent = 0, ""
         self._why_stopped = ""
         self._is_stopped_past_bus = False
-        self._returning = False
+        self._returning = set[str]()
         self._measured: tuple[float, Sequence[float]] | None = None
         self._rival_s = -math.inf
         life.on_estop(self._on_supervisor_stop)
@@ -472,6 +477,7 @@ class OurCockpit:
         decision = self._all.decide(samples, now_s, why_blocked=why_blocked)
         for part, of_part in zip(self._parts.values(), decision.parts, strict=True):
             part.vector = of_part.vector
+            part.is_begun = part.is_begun or of_part.state in FOLLOWING
         self._send()
         self._life.bus.publish(self._values(decision))
         self._tell(now_s)
@@ -494,7 +500,7 @@ class OurCockpit:
                     joints = types.BODY_CONTROL.decode(each.message)["q"]
                     if isinstance(joints, tuple) and np.isfinite(joints).all():
                         self._measured = each.arrived_ns * 1e-9, joints
-            elif each.channel in self._sent and each.sender != self._lcm.address:
+            elif each.channel in self._sent:
                 if self._rival_s == -math.inf:
                     detail = {"channel": each.channel, "sender": _spoken(each.sender)}
                     self._life.event("lcm-second-sender", severity="warning", **detail)
@@ -529,7 +535,7 @@ class OurCockpit:
         for route in self._routes:
             parts = [self._parts[name] for name in route.channel.parts]
             name = route.channel.name
-            if not self._sent[name] and all(part.path.gate.state not in FOLLOWING for part in parts):
+            if not any(part.is_begun for part in parts):
                 continue
             numbers = route.numbers([part.vector for part in parts])
             why_not = self._lcm.send(name, route.channel.kind.encode({route.channel.field: numbers}))
@@ -552,15 +558,14 @@ class OurCockpit:
     def _tell(self, now_s: float) -> None:
         for each in self._all.taken():
             self._life.event(each.name, severity=each.severity, **each.detail)
-        moved = [part for name, part in self._parts.items() if self._is_begun(name)]
-        lost = [part for part in moved if part.path.gate.state not in FOLLOWING and not part.is_at_rest]
-        if bool(lost) != self._returning:
-            self._returning = bool(lost)
-            if lost:
-                why = {part.path.part: part.path.gate.reason for part in lost}
-                self._life.event("lcm-returning", severity="warning", parts=why)
-            else:
-                self._life.event("lcm-at-rest")
+        unled = {name for name, part in self._parts.items() if part.is_begun and part.path.gate.state not in FOLLOWING}
+        returning = {name for name in unled if not self._parts[name].is_at_rest}
+        if begin := sorted(returning - self._returning):
+            why = {name: self._parts[name].path.gate.reason for name in begin}
+            self._life.event("lcm-returning", severity="warning", parts=why)
+        if rests := sorted((self._returning & unled) - returning):
+            self._life.event("lcm-at-rest", parts=rests)
+        self._returning = returning
         self._life.report(
             channels={
                 route.channel.name: {
@@ -580,12 +585,9 @@ class OurCockpit:
             "age_s": round(age_s, 3) if math.isfinite(age_s) else None,
         }  # fmt: skip
 
-    def _is_begun(self, name: str) -> bool:
-        return any(self._sent[route.channel.name] for route in self._routes if name in route.channel.parts)
-
     def _leave(self, pace: WallPace) -> None:
         """Bring what was commanded to rest without anything that may have broken: the bus, a gate."""
-        begun = [part for name, part in self._parts.items() if self._is_begun(name)]
+        begun = [part for part in self._parts.values() if part.is_begun]
         if not begun:
             return
         self._life.event(

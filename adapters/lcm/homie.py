@@ -55,6 +55,13 @@ STATE_CHANNEL = "body_control_data"
 """On it ``g1_control`` tells where the 29 joints are, 200 times a second, as `types.BODY_CONTROL`."""
 
 
+HANDS_AT_START = {
+    "left_hand": (0.0, 1.05, 1.75, -1.57, -1.75, -1.57, -1.75),
+    "right_hand": (0.0, -1.05, -1.75, 1.57, 1.75, 1.57, 1.75),
+}
+"""Where ``hand_control`` has the hands before the first message: closed [rad]."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
     """A channel, and the parts of a robot that it commands.

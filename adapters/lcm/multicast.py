@@ -30,7 +30,7 @@ Sender = tuple[str, int]
 
 _LARGEST = 65535
 _BUFFER_BYTES = 4 << 20  # for the fragments of a long message, which come at once; the kernel may grant less
-_MOST_READ = 1000  # datagrams of one look: whoever sends faster does not keep a server from its other work
+_MOST_READ = 200  # datagrams of one look: whoever sends faster does not keep a server from its other work
 _IP_MULTICAST_ALL = 49  # linux/in.h
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
@@ -122,7 +122,7 @@ class Multicast:
         return ""
 
     def receive(self, timeout_s: float) -> Iterator[Received]:
-        """Yield the messages that have come, once one is there or a time has passed [s]."""
+        """Yield the messages of others that have come, once one is there or a time has passed [s]."""
         select.select([self._heard], [], [], timeout_s)
         for _ in range(_MOST_READ):
             try:
@@ -130,6 +130,8 @@ class Multicast:
             except BlockingIOError:
                 return
             arrived_ns = self._arrival_ns(ancillary)
+            if sender == self.address:
+                continue
             if self._peer and sender[0] != self._peer:
                 self.dropped["another computer"] += 1
                 continue

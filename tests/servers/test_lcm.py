@@ -86,7 +86,15 @@ def test_what_is_no_command_is_refused_counted_and_told_once(kind: str) -> None:
     assert arms.dropped == {kind: 3}
     assert names(arms, 0.1) == ["lcm-refused"]
     assert arms.take(came(GOOD, 0.1), 0.1) is not None
-    assert names(arms, 0.1) == ["lcm-good-again"]
+    assert names(arms, 0.2) == []
+    ((name, _, detail),) = arms.on_tick(0.05 + SILENT_S)
+    assert (name, detail) == ("lcm-refused", {"channel": "arm_action", "ended": True, "dropped": {kind: 3}})
+
+
+def test_who_sends_nothing_good_keeps_no_cockpit_out() -> None:
+    arms = intake()
+    assert arms.take(came(BAD["wrong-type"], 0.0, B), 0.0) is None
+    assert arms.take(came(GOOD, 0.01, A), 0.01) is not None
 
 
 def test_an_infinite_height_is_refused_also_where_legs_take_none() -> None:
@@ -200,7 +208,6 @@ def test_ten_thousand_damaged_datagrams_reach_no_key_and_end_nothing(bridge: Lcm
     wanted = sum(bridge.detail["not_for_us"].values())
     bridge.until(lambda: sum(bridge.detail["not_for_us"].values()) > wanted)
     assert bridge.written == {}
-    time.sleep(SILENT_S)  # the sender of what was refused is another than the cockpit
     bridge.until(lambda: [bridge.send("pedal_command", WALK)] and bridge.written[LEGS])
     assert bridge.vectors(LEGS)[0] == WALK
 
@@ -410,6 +417,45 @@ def test_arms_begin_where_their_robot_has_them(bridge: LcmStation, robot: TheirR
 
     bridge.until(begun)
     assert robot.heard["arm_action"][0] == pytest.approx(stands[15:], abs=2.0 * 0.04)
+
+
+def test_an_arm_that_nobody_commands_stays_where_their_robot_has_it(
+    bridge: LcmStation, robot: TheirRobot, commander: Commander
+) -> None:
+    bridge.start("our-cockpit")
+    state = types.BODY_CONTROL.encode({"q": [0.0] * 22 + [-0.4] * 7, "qd": [0.0] * 29, "timestamp_us": 0})
+    bridge.until(lambda: [bridge.peer.send(STATE_CHANNEL, state)] and bridge.detail["robot_heard"])
+
+    def begun() -> bool:
+        bridge.peer.send(STATE_CHANNEL, state)
+        commander.command(left=SOME_ARMS[:7])
+        return len(robot.newest("arm_action") and robot.heard["arm_action"]) > 100
+
+    bridge.until(begun)
+    commander.command()
+    bridge.until(lambda: robot.newest("arm_action")[:7] == REST_ARMS[:7])
+    assert np.allclose([row[7:] for row in robot.heard["arm_action"]], -0.4)
+
+
+def test_hands_begin_where_hand_control_has_them_and_stay_when_nobody_commands_them(
+    bridge: LcmStation, robot: TheirRobot, bus: Bus
+) -> None:
+    bridge.start("our-cockpit", hands=True)
+    key = keys.action_joints("g1_29_left_hand")
+    half = [0.0, 0.5, 0.8, -0.7, -0.8, -0.7, -0.8]
+
+    def is_there() -> bool:
+        bus.publish({key: codec.json_vector(half)})
+        return bool(np.allclose(robot.newest("hand_action")[:7] or 9.0, half))
+
+    bridge.until(is_there)
+    first = robot.heard["hand_action"][0]
+    assert first[1] == pytest.approx(1.0472, abs=12.0 * 0.04)
+    assert first[9] == pytest.approx(-1.74533, abs=0.01), (
+        "the right hand, which nobody commands, is as closed as it was"
+    )
+    bridge.until(lambda: bridge.detail["channels"]["hand_action"]["parts"]["left_hand"]["gate"] == "waiting")
+    assert robot.newest("hand_action")[:7] == pytest.approx(half)
 
 
 def test_somebody_else_who_commands_their_robot_is_told(bridge: LcmStation) -> None:
