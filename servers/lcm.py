@@ -31,7 +31,7 @@ from adapters.lcm.homie import Legs, Route
 from adapters.lcm.message import BadMessage
 from adapters.lcm.multicast import GROUP, LOOPBACK, PORT, Multicast, Received, Sender
 from station.blends import VELOCITY_FADE_S
-from station.bus import codec, keys
+from station.bus import acl, codec, keys
 from station.config import to_plain
 from station.control.arming import Arming
 from station.control.command_arbiter import CommandArbiter
@@ -434,6 +434,8 @@ class OurCockpit:
         self._returning = set[str]()
         self._measured: tuple[float, Sequence[float]] | None = None
         self._rival_s = -math.inf
+        user = life.bus.address.username
+        self._may_say_where = user not in acl.ROLES or user == "low-level"
         life.on_estop(self._on_supervisor_stop)
 
     def __enter__(self) -> Self:
@@ -460,6 +462,9 @@ class OurCockpit:
             self._leave(pace)
 
     def _begin(self) -> None:
+        if not self._may_say_where:
+            reason = f"user {self._life.bus.address.username!r} of the bus may not say where a robot is"
+            self._life.event("lcm-says-not-where", severity="warning", reason=reason, then="leaders do not engage")
         self._stops.begin_stops()
         if (found := estop.latched(self._stops.latest)) is not None:
             self._stop(found[0].reason)
@@ -479,7 +484,8 @@ class OurCockpit:
             part.vector = of_part.vector
             part.is_begun = part.is_begun or of_part.state in FOLLOWING
         self._send()
-        self._life.bus.publish(self._values(decision))
+        if self._may_say_where:
+            self._life.bus.publish(self._values(decision))
         self._tell(now_s)
 
     def _where(self, name: str, now_s: float) -> Floats | None:

@@ -49,10 +49,17 @@ class LcmStation(OneServer):
         self.detail: dict[str, Any] = {}
         self.state = ""
 
-    def start(self, mode: str, *, inside: Sequence[str] = (), **config: Any) -> None:
-        """Start the server and wait until it is active; `inside` is what its command line begins with."""
+    def start(self, mode: str, *, inside: Sequence[str] = (), url: str = "", **config: Any) -> None:
+        """Start the server and wait until it is active.
+
+        Args:
+            mode: Its mode.
+            inside: What its command line begins with.
+            url: Of the bus, where it is another user of it than this.
+            config: Its further settings.
+        """
         settings = json.dumps({"mode": mode, "port": self.port, **config})
-        command = [*inside, sys.executable, "-c", RUN, "lcm", self._address.url, settings]
+        command = [*inside, sys.executable, "-c", RUN, "lcm", url or self._address.url, settings]
         with self._words.open("wb") as stderr:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr)
         self.until(lambda: self.state == "active" and self.detail)
