@@ -118,27 +118,24 @@ def _ipv4(name: str, text: str) -> ipaddress.IPv4Address:
 def main(config: LcmConfig, life: Life) -> int:
     """Pass commands on until asked to stop; return the exit code."""
     command = homie.command_of(config.robot, config.legs, hands=config.hands)
-    with contextlib.closing(_joined(config, life)) as lcm:
+    routes = homie.routes(command)
+    with contextlib.closing(
+        Multicast(config.group, config.port, interface=config.interface, peer=config.peer, clock=life.clock)
+    ) as lcm:
         life.configured({
             "server": life.name, "role": KIND.role, "robot": config.robot, "mode": config.mode,
-            "channels": {
-                route.channel.name: [each.key for each in route.formats] for route in homie.routes(command)
-            },
+            "channels": {route.channel.name: [each.key for each in route.formats] for route in routes},
             "config": to_plain(config),
         })  # fmt: skip
         if not life.ready():
             return 0
         if config.mode == "their-cockpit":
-            TheirCockpit(life, lcm, homie.routes(command)).run()
+            TheirCockpit(life, lcm, routes).run()
         else:
             life.report(scheduling=real_time())
             with OurCockpit(life, lcm, command) as ours:
                 ours.run()
     return 0
-
-
-def _joined(config: LcmConfig, life: Life) -> Multicast:
-    return Multicast(config.group, config.port, interface=config.interface, peer=config.peer, clock=life.clock)
 
 
 KIND = ServerKind(
@@ -348,7 +345,6 @@ class CommandedPart:
     One that was never commanded is asked to stay where it is.
 
     Args:
-        life: The server's.
         path: Validator and gate.
         watch: Watches the part's key.
 
@@ -357,17 +353,16 @@ class CommandedPart:
         is_begun: Whether it was commanded yet.
     """
 
-    def __init__(self, life: Life, path: CommandPath, watch: CommandWatch) -> None:
+    def __init__(self, path: CommandPath, watch: CommandWatch) -> None:
         self.path, self.watch = path, watch
         command_format, config = path.command_format, path.gate.config
         self._receiver = CommandReceiver(
             watch, command_format.key, CommandArbiter(config.rivals, config.return_after_s)
         )
-        self._clock = life.clock
         start = homie.HANDS_AT_START.get(path.part, command_format.default)
         self.vector: Floats = np.clip(start, command_format.lower, command_format.upper)
         self.is_begun = False
-        self._home = None if path.part.endswith("_hand") else command_format.default
+        self._home = None if path.part in homie.HANDS_AT_START else command_format.default
         self._speed = np.full(len(self.vector), HEIGHT_M_S if command_format.velocities else ARMS_RAD_S)
         fastest = np.maximum(-command_format.lower, command_format.upper)
         for index in command_format.velocities:
@@ -424,10 +419,10 @@ class OurCockpit:
         for path in self._all.paths:
             watched = [path.command_format.key, *(() if self._parts else estop.KEYS)]
             watch = CommandWatch(life.bus.address, watched, key=watched[0], outages=life.bus.outages)
-            self._parts[path.part] = CommandedPart(life, path, watch)
+            self._parts[path.part] = CommandedPart(path, watch)
         self._stops = next(iter(self._parts.values())).watch
         self._routes = homie.routes(command)
-        self._sent = dict.fromkeys((route.channel.name for route in self._routes), 0)  # begins with a command
+        self._sent = dict.fromkeys((route.channel.name for route in self._routes), 0)
         self._unsent, self._why_unsent = 0, ""
         self._why_stopped = ""
         self._is_stopped_past_bus = False
@@ -489,8 +484,11 @@ class OurCockpit:
         self._tell(now_s)
 
     def _where(self, name: str, now_s: float) -> Floats | None:
-        """Return where their robot has an arm that was not commanded yet, if it says so."""
-        if self._measured is None or name not in _MEASURED or self._sent["arm_action"]:
+        """Return where their robot has an arm, if it says so and no arm was commanded yet.
+
+        Later it lags behind what is asked of it, and who asks for that lets it sag.
+        """
+        if self._measured is None or name not in _MEASURED or any(self._parts[arm].is_begun for arm in _MEASURED):
             return None
         at_s, joints = self._measured
         if now_s - at_s > LATE_S:
@@ -545,7 +543,7 @@ class OurCockpit:
                 continue
             numbers = route.numbers([part.vector for part in parts])
             why_not = self._lcm.send(name, route.channel.kind.encode({route.channel.field: numbers}))
-            self._sent[name] += 1
+            self._sent[name] += not why_not
             self._unsent += bool(why_not)
             if why_not != self._why_unsent:
                 severity: Severity = "error" if why_not else "info"

@@ -103,6 +103,12 @@ def test_an_address_that_this_computer_does_not_have_is_one_line(port: int) -> N
     assert "\n" not in str(caught.value)
 
 
+def test_a_message_that_cannot_be_sent_ends_nobody(port: int) -> None:
+    gone = Multicast(port=port)
+    gone.close()
+    assert gone.send("a", b"short") == "Bad file descriptor"
+
+
 def test_ten_thousand_damaged_datagrams_reach_nothing_and_end_nothing(heard: Multicast, port: int) -> None:
     rng = random.Random(3)
     good = datagrams(1, "pedal_command", types.COMMAND.encode(sample(types.COMMAND)))[0]
