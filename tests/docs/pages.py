@@ -145,6 +145,7 @@ PAGES = {
     }, has_upstream_data=False),
     "docs/lcm.md": Page({
         "station up": Typed(elsewhere="tests/main_job/test_lcm.py"),
+        "XDG_RUNTIME_DIR": Typed(elsewhere="tests/main_job/test_lcm.py"),
     }, has_upstream_data=False),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,
