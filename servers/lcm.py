@@ -97,6 +97,8 @@ class LcmConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if not _NAME.fullmatch(self.robot):
             raise ValueError(f"robot is {self.robot!r}; expected the end of a robot's keys, such as g1_29")
         here = _ipv4("interface", self.interface)
+        if here.is_unspecified or here.is_multicast:
+            raise ValueError(f"interface is {here}; expected the one address that this computer has in that network")
         if self.peer and _ipv4("peer", self.peer).is_loopback != here.is_loopback:
             raise ValueError(
                 f"peer is {self.peer}, interface is {self.interface}: neither reaches the other; expected both in one "

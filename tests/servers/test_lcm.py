@@ -33,6 +33,7 @@ from station.errors import ConfigError
 from tests.adapters.lcm.library import expect_library
 from tests.adapters.lcm.loopback import multicast_loopback
 from tests.adapters.lcm.test_multicast import damaged
+from tests.network_link.link import Link
 from tests.servers.lcm_station import SOME_ARMS, LcmStation, lcm_station, message
 from tests.tiers import ROOT
 from tests.waiting import wait_until
@@ -223,6 +224,39 @@ def test_the_cockpit_of_the_page_drives_through_the_bridge_by_lcms_own_library(b
             theirs.kill()
         assert bridge.vectors(LEGS)[-1] == [0.4, 0.0, 0.0, 0.74]
         bridge.until(lambda: bridge.told("lcm-silent"))
+
+
+COCKPIT = """
+import sys, time
+from adapters.lcm.multicast import Multicast
+to = Multicast(interface=sys.argv[1])
+while True:
+    to.send("pedal_command", bytes.fromhex(sys.argv[2]))
+    time.sleep(0.02)
+"""
+
+
+@pytest.mark.usefixtures("network_links")
+def test_a_cockpit_at_the_other_end_of_a_cable_is_heard_until_it_is_pulled_and_a_stranger_never(
+    bridge: LcmStation,
+) -> None:
+    theirs, ours, told = "192.168.123.164", "192.168.123.222", message("pedal_command", WALK).hex()
+    with Link((theirs, ours), seed=1) as link:
+        cockpit, here = link.ends
+        bridge.start("their-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
+        stranger = here.popen([sys.executable, "-c", COCKPIT, ours, told], cwd=ROOT)
+        bridge.until(lambda: bridge.detail["not_for_us"].get("another computer", 0) > 20)
+        assert bridge.written == {}
+        with cockpit.popen([sys.executable, "-c", COCKPIT, theirs, told], cwd=ROOT) as sending:
+            bridge.until(lambda: len(bridge.written[LEGS]) > 50)
+            link.pull()
+            bridge.until(lambda: bridge.told("lcm-silent"))
+            link.plug()
+            bridge.until(lambda: bridge.told("lcm-back"))
+            sending.kill()
+        stranger.kill()
+        stranger.wait()
+    assert bridge.vectors(LEGS)[-1] == WALK
 
 
 # -- Our cockpit, their robot ----------------------------------------------------------------------------------------
@@ -464,6 +498,27 @@ def test_somebody_else_who_commands_their_robot_is_told(bridge: LcmStation) -> N
     bridge.until(lambda: any(event.detail.get("ended") for event in bridge.told("lcm-second-sender")))
 
 
+HEARS = """
+import sys
+from adapters.lcm.multicast import Multicast
+heard, by = 0, Multicast(interface=sys.argv[1])
+while heard < 50:
+    heard += sum(each.channel == "pedal_command" for each in by.receive(0.1))
+"""
+
+
+@pytest.mark.usefixtures("network_links")
+def test_a_robot_at_the_other_end_of_a_cable_hears_our_commands(bridge: LcmStation, commander: Commander) -> None:
+    theirs, ours = "192.168.123.164", "192.168.123.222"
+    with Link((theirs, ours), seed=1) as link:
+        robot, here = link.ends
+        bridge.start("our-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
+        with robot.popen([sys.executable, "-c", HEARS, theirs], cwd=ROOT) as hearing:
+            commander.command(legs=WALK)
+            bridge.until(lambda: hearing.poll() is not None)
+            assert hearing.returncode == 0
+
+
 # -- Settings --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("values", "told"),
@@ -473,6 +528,7 @@ def test_somebody_else_who_commands_their_robot_is_told(bridge: LcmStation) -> N
         ({"robot": "G1 29"}, "robot is 'G1 29'; expected the end of a robot's keys, such as g1_29"),
         ({"legs": "velocity-posture"}, "legs"),
         ({"interface": "eth0"}, "interface is 'eth0'; expected an IPv4 address such as 192.168.123.222"),
+        ({"interface": "0.0.0.0"}, "interface is 0.0.0.0; expected the one address that this computer has"),
         ({"peer": "192.168.123.164"}, "peer is 192.168.123.164, interface is 127.0.0.1: neither reaches the other"),
         ({"group": "10.0.0.1"}, "group is 10.0.0.1; expected a multicast group such as 239.255.76.67"),
         ({"port": 0}, "port is 0; expected 1 to 65535"),
