@@ -29,6 +29,9 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
+from adapters.lcm import packet as lcm_packet
+from adapters.lcm import types as lcm_types
+from adapters.lcm.message import BadMessage
 from adapters.lidars import livox_packets, ros_messages
 from adapters.lidars.room import Room
 from adapters.motions.clip import Clip
@@ -746,4 +749,18 @@ def _lidars() -> list[Parser]:
     ]
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars()]
+def _lcm() -> list[Parser]:
+    """Datagrams of LCM, which anybody in a network may send."""
+
+    def came(data: bytes) -> None:
+        found = lcm_packet.Assembler().push(data, "somebody", 0.0)
+        if found is not None:
+            lcm_types.COMMAND.decode(found[1])
+
+    message = lcm_types.COMMAND.encode({"command": (0.5, 0.0, 0.1, 0.74)})
+    valid = (lcm_packet.datagrams(1, "pedal_command", message)[0], *lcm_packet.datagrams(2, "long", bytes(150_000))[:2])
+    modules = ("adapters.lcm.packet", "adapters.lcm.message")
+    return [Parser("LCM's datagram", came, valid, modules, (lcm_packet.BadPacket, BadMessage))]
+
+
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm()]
