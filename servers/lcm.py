@@ -420,7 +420,8 @@ class OurCockpit:
         self._parts: dict[str, CommandedPart] = {}
         for path in self._all.paths:
             watched = [path.command_format.key, *(() if self._parts else estop.KEYS)]
-            watch = CommandWatch(life.bus.address, watched, key=watched[0], outages=life.bus.outages)
+            bus = life.bus
+            watch = CommandWatch(bus.address, watched, key=watched[0], outages=bus.outages, clocks=bus.clocks)
             self._parts[path.part] = CommandedPart(path, watch)
         self._stops = next(iter(self._parts.values())).watch
         self._routes = homie.routes(command)
