@@ -28,6 +28,7 @@ from station.life.stop_file import LatchedStop, StopFile
 from station.supervision.supervisor import log_folder
 
 _LOOK_S = 1.0
+_FAR_MS = 1.0  # a round trip within a machine takes 0.2 ms, over a cable 0.5
 _SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
 _GATE_REMEDIES = {
     "waiting": "the robot stands until a fresh, valid command comes; see the command key above",
@@ -150,13 +151,20 @@ def _estop(latched: LatchedStop | None) -> Finding:
 
 
 def _clocks(bus: Bus, alive: list[Health]) -> Iterator[Finding]:
-    """Yield what is known of the clock of each machine, where servers run on several."""
+    """Yield where the bus is not beside a robot, and what is known of the clocks of several machines."""
     hosts = {health.boot: health.host for health in alive}
+    said = {boot: clocks.decode_statement(bus.get(keys.clock(boot)), boot) for boot in hosts}
+    for health in alive:
+        statement = said[health.boot] if health.role == "low-level" else None
+        if statement is not None and (trip_ms := statement.round_trip_ns * 1e-6) > _FAR_MS:
+            yield Finding("warning", f"server {health.name}", f"the bus is {trip_ms:.1f} ms away, there and back: each "
+                          "command comes as much later, and a lost packet on that line holds it up",
+                          f"run the bus on {health.host}, beside the robot's server: docs/hosts.md")  # fmt: skip
     if len(hosts) < 2:
         return
     of_robots = {health.boot for health in alive if health.role == "low-level"}
     for boot, host in sorted(hosts.items(), key=lambda item: item[1]):
-        subject, statement = f"clock of {host}", clocks.decode_statement(bus.get(keys.clock(boot)), boot)
+        subject, statement = f"clock of {host}", said[boot]
         commands = [health.name for health in alive if health.boot == boot and health.role == "command"]
         if statement is not None:
             by = {True: ", kept right by its system", False: ", kept right by nothing", None: ""}

@@ -32,7 +32,7 @@ def _statement(bus: Bus, boot: str, *, ahead_ns: int = 0, **fields: Any) -> None
     now_ns = bus.clock.wall_ns()
     statement = ClockStatement(
         boot=boot, host="operator-pc", mono_ns=5, wall_ns=now_ns + ahead_ns, bus_ns=now_ns, error_ns=2 * MS,
-        since_bus_ns=0, round_trip_ns=3 * MS, comparisons=32, **fields,
+        since_bus_ns=0, comparisons=32, **({"round_trip_ns": 3 * MS} | fields),
     )  # fmt: skip
     bus.publish({keys.clock(boot): codec.json_object(statement)})
 
@@ -85,6 +85,17 @@ def test_the_doctor_says_how_well_a_clock_is_known_and_what_follows_where_it_is_
             "known to 2.0 ms (round trip 3.0 ms); its wall clock is +1.500 s from the bus server's, "
             "kept right by nothing"
         )
+
+
+def test_the_doctor_says_where_the_bus_is_not_beside_the_robot_and_what_that_costs(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="test", timeout_s=5.0) as bus:
+        _health(bus, "g1", role="low-level", boot=FAR, host="robot")
+        _statement(bus, FAR, round_trip_ns=200_000)
+        assert _clocks(bus) == []
+        _statement(bus, FAR, round_trip_ns=12 * MS)
+        ((level, found),) = _clocks(bus)
+    assert level == "warning"
+    assert found.startswith("the bus is 12.0 ms away, there and back: each command comes as much later")
 
 
 def test_health_is_what_it_was_where_all_run_on_one_machine(bus_server: BusAddress) -> None:
