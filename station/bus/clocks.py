@@ -270,11 +270,15 @@ class Clocks:
                 self._theirs[boot] = self._better(self._theirs[boot], new)
 
     def _better(self, known: ClockStatement | None, new: ClockStatement) -> ClockStatement:
-        """Return which statement to go by: each process of a machine makes its own, a new one a worse one."""
-        before = None if known is None else self._offset_of(known)
-        after = self._offset_of(new)
-        is_worse = before is not None and after is not None and before.error_ns < after.error_ns
-        return known if known is not None and is_worse else new
+        """Return which statement to go by: each process of a machine makes its own, a new one a worse one.
+
+        Two that contradict each other are of a clock that stood still between them, as while a computer slept.
+        """
+        before, after = None if known is None else self._offset_of(known), self._offset_of(new)
+        if known is None or before is None or after is None:
+            return new
+        agree = abs(before.ns - after.ns) <= before.error_ns + after.error_ns
+        return known if agree and before.error_ns < after.error_ns else new
 
 
 def walls_ahead_ns(call: Callable[..., Any], boots: Iterable[str], clock: Clock) -> dict[str, int]:
@@ -310,7 +314,9 @@ def decode_statement(data: bytes | None, boot: str) -> ClockStatement | None:
     except codec.BadValue as error:
         log.debug("not a clock's statement: %s", error)
         return None
-    return statement if statement is not None and statement.boot == boot else None
+    if statement is None or statement.boot != boot or statement.error_ns < 0:
+        return None
+    return statement
 
 
 def _instant(reply: Any) -> int:

@@ -171,19 +171,26 @@ def test_a_machine_says_what_its_clock_is_beside_a_real_servers(bus_server: BusA
     assert abs(said.wall_ns - said.bus_ns) <= said.error_ns + MS, "one machine, one wall clock"
 
 
-def test_of_two_statements_of_a_machine_the_better_one_counts_whichever_came_last(bus_server: BusAddress) -> None:
+@pytest.mark.parametrize(("off_ns", "error_ns", "is_followed"), [
+    (20 * MS, 30 * MS, False),  # of a process that has just begun to measure
+    (5 * S, 30 * MS, True),  # its clock stood still: the computer slept
+    (0, -MS, False),
+])  # fmt: skip
+def test_of_two_statements_of_a_machine_the_better_one_counts_unless_they_contradict_each_other(
+    bus_server: BusAddress, off_ns: int, error_ns: int, is_followed: bool
+) -> None:
     with Bus(bus_server, name="one") as bus:
         bus.clocks.offset_of("aaaaaaaa")
-        for off_ns, error_ns in ((0, MS), (20 * MS, 30 * MS)):  # of a process that has just begun to measure
+        for said_ns, said_error_ns in ((0, MS), (off_ns, error_ns)):
             now_ns = time.time_ns()
             bus.publish({keys.clock("aaaaaaaa"): codec.json_object(ClockStatement(
-                boot="aaaaaaaa", host="other", mono_ns=time.monotonic_ns(), wall_ns=now_ns, bus_ns=now_ns + off_ns,
-                error_ns=error_ns, since_bus_ns=0, round_trip_ns=0, comparisons=1,
+                boot="aaaaaaaa", host="other", mono_ns=time.monotonic_ns() - said_ns, wall_ns=now_ns, bus_ns=now_ns,
+                error_ns=said_error_ns, since_bus_ns=0, round_trip_ns=0, comparisons=1,
             ))})  # fmt: skip
             time.sleep(1.5)
         found = bus.clocks.offset_of("aaaaaaaa")
     assert found is not None
-    assert (abs(found.ns) < 5 * MS, found.error_ns < 5 * MS) == (True, True)
+    assert (abs(found.ns) > 5 * MS, found.error_ns > 5 * MS) == (is_followed, is_followed)
 
 
 def test_another_machines_clock_is_asked_for_once_it_writes(bus_server: BusAddress) -> None:
