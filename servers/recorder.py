@@ -108,6 +108,8 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 def main(config: RecorderConfig, life: Life) -> int:
     """Run until asked to stop; an open episode is then closed."""
     options = config.options
+    writer = msgspec.structs.replace(options.writer, offset_of=life.bus.clocks.offset_of)
+    options = msgspec.structs.replace(options, writer=writer)
     sys.setswitchinterval(_SWITCH_S)
     give_back_large_blocks()
     with Claim(options.data, life.bus) as claim:

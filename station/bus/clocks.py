@@ -37,6 +37,7 @@ MOST_ERROR_NS = 100_000_000
 _PERIOD_S, _FIRST_PERIOD_S = 0.1, 0.02  # between comparisons; the second until there are enough
 _STATES_EVERY_S, _FIRST_STATES_EVERY_S = 1.0, 0.25
 _TIMEOUT_S, _RETRY_S = 1.0, 1.0
+_KEEPS_NS = 50_000_000  # how long an offset is not computed again, which takes 0.1 ms
 _DRIFT = 1e-4  # how much faster one clock may run than another: two quartzes of 50 ppm each
 _RESOLUTION_NS = 1_000  # of the server's answer
 _MOST_MACHINES = 32  # any client may invent names
@@ -47,6 +48,15 @@ class Offset(NamedTuple):
 
     ns: int
     error_ns: int
+
+
+OffsetOf = Callable[[str], Offset | None]
+"""Returns how the monotonic clock of a boot is to be read here; None where that is not known."""
+
+
+def unknown(_boot: str) -> Offset | None:
+    """Return None: nothing is known of other machines' clocks."""
+    return None
 
 
 class ClockStatement(msgspec.Struct, kw_only=True):
@@ -186,6 +196,7 @@ class Clocks:
         self.publish: Callable[[Mapping[str, bytes]], object] | None = None
         self._time, self._lock = BusTime(), threading.Lock()
         self._theirs: dict[str, ClockStatement | None] = {}
+        self._found: dict[str, tuple[int, Offset | None]] = {}  # until when [ns] it need not be computed again
         self._closed = threading.Event()
         self._thread: Thread | None = None
         self._line: Connection | None = None
@@ -212,7 +223,11 @@ class Clocks:
                 self._theirs[boot] = None  # from now on it is asked for
                 self.start()
             return None
-        return self._offset_of(theirs)
+        until_ns, offset = self._found.get(boot, (0, None))
+        if (now_ns := self._clock.monotonic_ns()) >= until_ns:
+            offset = self._offset_of(theirs)
+            self._found[boot] = now_ns + _KEEPS_NS, offset
+        return offset
 
     def _offset_of(self, theirs: ClockStatement) -> Offset | None:
         now_ns = self._clock.monotonic_ns()

@@ -152,8 +152,8 @@ def written_ns(message: Message, boot: str) -> int:
 
 
 def shares_clock(channel: Channel, boot: str) -> bool:
-    """Whether a writer stamped on the monotonic clock that the recorder had (the same machine, not restarted)."""
-    return bool(boot) and stamps.boot_of(channel.source) == boot
+    """Whether times of writing are on the episode's clock: of the recorder's machine, or placed there by it."""
+    return channel.is_placed or (bool(boot) and stamps.boot_of(channel.source) == boot)
 
 
 def skipped(recorded: Recorded) -> Mapping[str, int]:

@@ -131,10 +131,29 @@ def judge(folder: Path) -> Judged:
     assert follows.sum() > 50
     oldest_s = (used_s - truth_s)[follows].max()
     assert oldest_s <= LIMIT_S + bound_s
+    _expect_written_before_arrived(reader, bound_s)
     events = [event.value for event in open_episode(folder).events() if isinstance(event.value, dict)]
     told = sum(event["detail"].get("lost_writes", 0) for event in events if event["source"].startswith("motion"))
     lost = max(truly_s) - min(truly_s) + 1 - len(truly_s)
     return Judged(float(off_s.max()), float(oldest_s), lost, told)
+
+
+def _expect_written_before_arrived(reader: EpisodeReader, bound_s: float) -> None:
+    """Expect that what the file says of when another machine wrote is on the episode's clock, to within a bound [s]."""
+    assert reader.anchor is not None
+    ahead_ns = AHEAD_S * 1_000_000_000
+    judged = 0
+    for message in reader.messages(stamps=True):
+        mark = stamp.decode(message.stamp or b"")
+        if mark is None or stamp.boot_of(mark.source) == reader.anchor.boot or message.publish_ns == message.log_ns:
+            continue
+        is_far = stamp.boot_of(mark.source) == BOOT
+        mono_ns = mark.mono_ns - ahead_ns if is_far else mark.mono_ns  # on the robot's clock
+        anchor_ns = reader.anchor.mono_ns - (0 if is_far else ahead_ns)  # of the other machine, likewise
+        off_s = (message.publish_ns - reader.anchor.wall_ns - (mono_ns - anchor_ns)) * 1e-9
+        assert abs(off_s) <= bound_s + OWN_ERROR_S
+        judged += 1
+    assert judged > 100
 
 
 def _timing(reader: EpisodeReader) -> Iterator[NDArray[np.float64]]:

@@ -114,6 +114,11 @@ class VirtualAddress(BusAddress, frozen=True, kw_only=True):
     network: Network
 
     @property
+    def is_local(self) -> bool:
+        """True: what runs here is written for a bus on the same machine, whose line may freeze."""
+        return True
+
+    @property
     def clock(self) -> VirtualClock:  # type: ignore[override]
         return self.network.clock
 

@@ -27,7 +27,7 @@ class Server:
     """Keys by database, clients, and the events of keys.
 
     Args:
-        clock: For keys that expire.
+        clock: For keys that expire, and what it answers to `TIME`.
         call_at: Has something done at an instant of that clock.
 
     Attributes:
@@ -36,7 +36,7 @@ class Server:
     """
 
     def __init__(self, clock: Clock, call_at: Callable[[int, Callable[[], None]], None]) -> None:
-        self._clock, self._call_at = clock, call_at
+        self.clock, self._call_at = clock, call_at
         self._databases: dict[int, dict[bytes, bytes]] = {}
         self._expiry: dict[tuple[int, bytes], int] = {}
         self._flags = ""
@@ -67,7 +67,7 @@ class Server:
     def change(self, db: int, key: bytes, value: bytes) -> None:
         """Change what a key holds; it expires as before."""
         self.keys(db)[key] = value
-        self.journal.append((self._clock.monotonic_ns(), key, value))
+        self.journal.append((self.clock.monotonic_ns(), key, value))
 
     def put(self, db: int, key: bytes, value: bytes) -> None:
         """Set a key; it does not expire."""
@@ -77,12 +77,12 @@ class Server:
     def remove(self, db: int, key: bytes) -> bytes | None:
         """Delete a key; return what it held."""
         self._expiry.pop((db, key), None)
-        self.journal.append((self._clock.monotonic_ns(), key, None))
+        self.journal.append((self.clock.monotonic_ns(), key, None))
         return self.keys(db).pop(key, None)
 
     def expire(self, db: int, key: bytes, milliseconds: int) -> None:
         """Have a key go after a time."""
-        due_ns = self._expiry[db, key] = self._clock.monotonic_ns() + milliseconds * 1_000_000
+        due_ns = self._expiry[db, key] = self.clock.monotonic_ns() + milliseconds * 1_000_000
 
         def go() -> None:
             if self._expiry.get((db, key)) == due_ns:
@@ -95,7 +95,7 @@ class Server:
         """Let one key expire when another one does."""
         due_ns = self._expiry.get((db, source))
         if due_ns is not None:
-            self.expire(db, target, max(0, (due_ns - self._clock.monotonic_ns()) // 1_000_000))
+            self.expire(db, target, max(0, (due_ns - self.clock.monotonic_ns()) // 1_000_000))
 
     def move_expiry(self, db: int, source: bytes, target: bytes) -> None:
         """Let one key expire when another one would have."""
@@ -210,6 +210,11 @@ def _ping(client: Client, arguments: list[bytes]) -> Reply:
     if client.channels:
         return _array([b"pong", arguments[0] if arguments else b""])
     return _bulk(arguments[0]) if arguments else b"+PONG\r\n"
+
+
+def _time(client: Client, arguments: list[bytes]) -> Reply:
+    seconds, microseconds = divmod(client.server.clock.wall_ns() // 1000, 1_000_000)
+    return _array([b"%d" % seconds, b"%d" % microseconds])
 
 
 def _select(client: Client, arguments: list[bytes]) -> Reply:
@@ -393,6 +398,7 @@ _COMMANDS: dict[bytes, Callable[[Client, list[bytes]], Reply]] = {
     b"PING": _ping, b"SELECT": _select, b"SET": _set, b"MSET": _mset, b"GET": _get, b"MGET": _mget, b"DEL": _del,
     b"GETDEL": _getdel, b"RENAME": _rename, b"PEXPIRE": _pexpire, b"FLUSHALL": _flushall, b"FLUSHDB": _flushdb,
     b"CONFIG": _config, b"SUBSCRIBE": _subscribe, b"SCAN": _scan, b"MULTI": _multi, b"DISCARD": _discard,
-    b"EXEC": _exec, b"UNLINK": _del, b"APPEND": _append, b"SETRANGE": _setrange, b"COPY": _copy, b"MOVE": _move,
+    b"EXEC": _exec, b"TIME": _time, b"UNLINK": _del, b"APPEND": _append, b"SETRANGE": _setrange, b"COPY": _copy,
+    b"MOVE": _move,
 }  # fmt: skip
 """A command that is not in here ends the test that uses it."""

@@ -30,6 +30,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
         contract: The contract that was recorded with it, or None.
         file: Name of the file that its messages are in.
         video: Format of the video that its pictures were made into when the episode was compacted; "" for all others.
+        is_placed: Whether times of writing of another machine are on the episode's clock all the same.
     """
 
     id: int
@@ -40,6 +41,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     contract: Contract | None
     file: str = layout.SIGNALS
     video: str = ""
+    is_placed: bool = False
 
     @property
     def is_native(self) -> bool:
@@ -114,6 +116,7 @@ def channel_of(record: mcap.records.Channel, *, file: str = layout.SIGNALS, firs
         id=first_id + record.id,
         topic=record.topic,
         source=metadata.get("source", ""),
+        is_placed=layout.ON_EPISODE_CLOCK.items() <= metadata.items(),
         writer=metadata.get("writer", layout.FOREIGN),
         encoding=record.message_encoding,
         contract=contract_of(record),

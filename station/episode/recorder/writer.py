@@ -88,7 +88,7 @@ class EpisodeWriter:
         self._closing: Closing | None = None
         self.contracts = contracts or Contracts(manifest.servers.values())
         if reopened is not None:
-            reopened.contracts = self.contracts
+            reopened.contracts, reopened.offset_of = self.contracts, self._options.offset_of
         self._files = reopened
         self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id, clock)
         self._position = place
@@ -198,7 +198,7 @@ class EpisodeWriter:
         data = save_manifest(manifest, self.folder) if manifest else b""
         if self._files is None:
             self._files = EpisodeFiles.create(self.folder, self.anchor, self._facts, data)
-            self._files.contracts = self.contracts
+            self._files.contracts, self._files.offset_of = self.contracts, self._options.offset_of
         else:
             self.state = "open"
         self._ledger.record(self._position, self._files)

@@ -75,6 +75,8 @@ class Channel:
         """Return what stands in the MCAP channel record."""
         text = msgspec.json.encode(self.contract).decode() if self.contract else layout.NO_CONTRACT
         found = {"source": self.source, "writer": self.writer, "contract": text}
+        if self.source and not self.shares_clock:
+            found |= layout.ON_EPISODE_CLOCK
         if self.topic != self.key:
             found["key_hex"] = self.key.encode("utf-8", "surrogateescape").hex()
         return found

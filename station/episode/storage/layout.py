@@ -64,6 +64,8 @@ FOREIGN = "foreign"
 NO_CONTRACT = "none"
 
 ANCHOR_RECORD = "station.anchor"
+ON_EPISODE_CLOCK = {"clock": "episode"}
+"""Of a channel of another machine: its times of writing are on the episode's clock; in older files, on its own."""
 EPISODE_RECORD = "station.episode"
 SUMMARY_RECORD = "station.summary"
 DROPPED_RECORD = "station.dropped"

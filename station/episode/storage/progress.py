@@ -8,6 +8,7 @@ from typing import NamedTuple
 import msgspec
 
 from station.atomic_file import refuse_special, write_atomic
+from station.bus.clocks import OffsetOf, unknown
 from station.bus.tap import Position
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
@@ -22,12 +23,14 @@ class WriterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         flush_s: Longest time between two flushes to the disk [s]: what a power cut loses.
         flush_bytes: Size of the values that makes a flush come sooner: a bound of the memory.
         queue_writes, queue_bytes: Bounds of the queue, see `station.episode.recorder.queue.WriteQueue`.
+        offset_of: How the clocks of other machines are to be read, so that their times of writing are on ours.
     """
 
     flush_s: float = 0.5
     flush_bytes: int = 8 * 1024 * 1024
     queue_writes: int = 200_000
     queue_bytes: int = 128 * 1024 * 1024
+    offset_of: OffsetOf = unknown
 
 
 class Gap(NamedTuple):

@@ -10,6 +10,7 @@ from mcap.records import Metadata, Schema
 from msgspec.structs import asdict
 
 from station.bus import stamp as stamps
+from station.bus.clocks import OffsetOf, unknown
 from station.bus.contracts import Contracts
 from station.bus.tap.base import Write
 from station.episode.storage import bulk, layout
@@ -47,12 +48,14 @@ class EpisodeFile:
         gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
         episode_summary: What the messages tell.
         contracts: What is known of keys when their channels are made.
+        offset_of: How the clocks of other machines are to be read; nothing is known of them until it is set.
     """
 
     def __init__(self, disk: Disk, anchor: Anchor, names: layout.Names, drops: Drops | None, *, is_new: bool) -> None:
         """Wrap a file that is open at its end; `create` and `reopen` make one."""
         self.names = names
         self.contracts = Contracts()
+        self.offset_of: OffsetOf = unknown
         self._anchor = anchor
         self._disk = disk
         self._by_stamp: dict[tuple[str, bytes], Channel] = {}
@@ -212,15 +215,20 @@ class EpisodeFile:
                 return False
         try:
             sequence = stamps.integer(fields[0])
-            written_ns = stamps.integer(fields[1] if channel.shares_clock else fields[2])
+            written_ns = stamps.integer(fields[1])
         except ValueError:
             return False
-        publish_ns = self._anchor.at(written_ns) if channel.shares_clock else written_ns
+        publish_ns = self._anchor.at(written_ns) if channel.shares_clock else self._far_ns(channel, written_ns, log_ns)
         if not is_storable(publish_ns) or b"\n" in stamp or abs(sequence) > _LARGEST_SEQUENCE:
             return False
         self._stamps.append(b"%d %b" % (channel.id, stamp))
         self._put(channel, sequence, value, log_ns, publish_ns, stamp)
         return True
+
+    def _far_ns(self, channel: Channel, written_ns: int, log_ns: int) -> int:
+        """Return when another machine wrote a value, by the episode's clock, else when it arrived [ns]."""
+        offset = self.offset_of(stamps.boot_of(channel.source))
+        return log_ns if offset is None else min(self._anchor.at(written_ns + offset.ns), log_ns)
 
     def _add_foreign(self, key: str, value: bytes | None, log_ns: int) -> None:
         channel = self._foreign.get((key, value is None))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from station.atomic_file import sync_folder
+from station.bus.clocks import OffsetOf
 from station.bus.contracts import Contracts
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, is_storable
@@ -71,6 +72,16 @@ class EpisodeFiles:
     def contracts(self, known: Contracts) -> None:
         for file in self:
             file.contracts = known
+
+    @property
+    def offset_of(self) -> OffsetOf:
+        """How the clocks of other machines are to be read."""
+        return self.signals.offset_of
+
+    @offset_of.setter
+    def offset_of(self, known: OffsetOf) -> None:
+        for file in self:
+            file.offset_of = known
 
     @classmethod
     def create(cls, folder: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> EpisodeFiles:
@@ -238,7 +249,7 @@ class EpisodeFiles:
     def _make(self, names: layout.Names) -> EpisodeFile:
         path = self._folder / names.active
         made = EpisodeFile.create(path, self._anchor, self._facts, names=names, drops=self.drops)
-        made.contracts = self.contracts
+        made.contracts, made.offset_of = self.contracts, self.offset_of
         self._bulk[names] = made
         sync_folder(self._folder)
         return made

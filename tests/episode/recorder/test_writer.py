@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -13,9 +14,11 @@ from mcap.reader import make_reader
 
 from adapters.robots.g1 import twist_keys
 from station.bus import keys
+from station.bus.clocks import Offset
 from station.bus.stamp import Stamp
 from station.bus.tap import Position, Write
 from station.contract import Contract
+from station.episode.reading import frames
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, read_anchor
@@ -23,7 +26,9 @@ from station.episode.storage.manifest import Manifest, Task, load_manifest
 from station.episode.storage.progress import Totals, WriterOptions, load_resume_point
 from station.episode.storage.records import MAGIC
 from station.episode.writing import file as episode_file
+from station.export.tracks import shares_clock
 from tests.episode.writes import Native, foreign
+from tests.export.pictured import jpeg
 from tests.waiting import wait_until
 
 BODY = twist_keys.action_body()
@@ -32,9 +37,9 @@ CLOSING = (("sync", False), ("sync", True), ("rename", True))  # what is done, a
 ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=read_anchor().boot)
 
 
-def writer_in(folder: Path, **options: float) -> EpisodeWriter:
+def writer_in(folder: Path, **options: Any) -> EpisodeWriter:
     manifest = Manifest(episode_id=folder.name, task=Task(name="walk"))
-    return EpisodeWriter(folder, anchor=ANCHOR, manifest=manifest, options=WriterOptions(**options))  # type: ignore[arg-type]
+    return EpisodeWriter(folder, anchor=ANCHOR, manifest=manifest, options=WriterOptions(**options))
 
 
 def closed(writer: EpisodeWriter) -> Totals:
@@ -78,7 +83,32 @@ def test_times_hang_on_the_anchor_of_the_episode(tmp_path: Path) -> None:
     writer.put([native, other_boot, plain])
     closed(writer)
     times = [(m.log_ns - ANCHOR.wall_ns, m.publish_ns - ANCHOR.wall_ns) for m in open_episode(tmp_path).messages()]
-    assert times == [(5_100_000, 5_000_000), (6_000_000, 77), (-2_000_000, -2_000_000)]
+    assert times == [(5_100_000, 5_000_000), (6_000_000, 6_000_000), (-2_000_000, -2_000_000)], (
+        "of another machine whose clock is not known, and of a writer without a stamp, the arrival"
+    )
+
+
+def test_times_of_another_machine_whose_clock_is_known_are_on_the_episodes_clock(tmp_path: Path) -> None:
+    far = "00c0ffee"
+    offsets = {far: Offset(ANCHOR.mono_ns - 1_000_000_000, 2_000_000)}
+
+    def write(written_ns: int, arrived_ns: int, key: str = BODY) -> Write:
+        mark = Stamp(arrived_ns, 1_000_000_000 + written_ns, 77, f"pico.1.{far}.beef", 1_000_000_000 + written_ns - 9)
+        value = b"[2]" if key == BODY else jpeg(1)
+        return Write(key, value, mark.encode(), ANCHOR.mono_ns + arrived_ns)
+
+    writer = writer_in(tmp_path, offset_of=offsets.get)
+    writer.put([
+        write(5_000_000, 9_000_000), write(10_000_000, 12_000_000), write(14_500_000, 14_000_000),
+        write(20_000_000, 26_000_000, CAMERA),
+    ])  # fmt: skip
+    closed(writer)
+    reader = open_episode(tmp_path)
+    found = list(reader.messages(stamps=True))
+    assert [m.publish_ns - ANCHOR.wall_ns for m in found] == [5_000_000, 10_000_000, 14_000_000, 20_000_000]
+    assert [m.log_ns - ANCHOR.wall_ns for m in found] == [9_000_000, 12_000_000, 14_000_000, 26_000_000]
+    assert all(shares_clock(m.channel, ANCHOR.boot) for m in found), "an export goes by when they were written"
+    assert frames.captured_ns(found[-1]) - ANCHOR.wall_ns == 20_000_000 - 9
 
 
 @pytest.mark.usefixtures("processes")
@@ -183,6 +213,7 @@ import resource, signal, sys, time
 from pathlib import Path
 from station.episode.storage.records import MAGIC
 from station.episode.writing import file as episode_file
+from station.export.tracks import shares_clock
 from station.episode.storage.anchor import read_anchor
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.progress import WriterOptions
