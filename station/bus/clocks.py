@@ -217,6 +217,8 @@ class Clocks:
 
     def offset_of(self, boot: str) -> Offset | None:
         """Return how the monotonic clock of another boot is to be read here; None while that is not known."""
+        if boot == stamp.boot_id():
+            return None
         theirs = self._theirs.get(boot)
         if theirs is None:
             if boot and boot not in self._theirs and len(self._theirs) < _MOST_MACHINES:

@@ -38,6 +38,8 @@ class Recording(RecorderController):
         """Add what a key held before the tap was opened: servers that are up, a request that is answered."""
         if key == keys.RECORD:
             self.answers.is_new(request_id(value))
+        elif key.startswith(keys.CLOCK_PREFIX):
+            self._on_clock(key.removeprefix(keys.CLOCK_PREFIX))
         elif self._heard.is_of_interest(key):
             self._heard.record(key, value, stamp, self.clock.monotonic_ns())
 
@@ -181,6 +183,9 @@ class Recording(RecorderController):
             return self._request
         if key in (keys.EVENT, keys.NOT_MIRRORED) or is_motion(key):
             return self._add_to_manifest
+        if key.startswith(keys.CLOCK_PREFIX):
+            boot = key.removeprefix(keys.CLOCK_PREFIX)
+            return lambda _write: self._on_clock(boot)
         return self._on_facts if self._heard.is_of_interest(key) else None
 
     def _advance(
@@ -193,6 +198,10 @@ class Recording(RecorderController):
     def _add_to_manifest(self, write: Write) -> None:
         if self._active is not None:
             self._active.add_to_manifest(write)
+
+    def _on_clock(self, boot: str) -> None:
+        """Ask for a machine's clock as soon as it tells of it: its values may be recorded in a moment."""
+        self.options.writer.offset_of(boot)
 
     def _on_facts(self, write: Write) -> None:
         if write.value is None:

@@ -153,7 +153,11 @@ class TapReader:
     def _seed(self) -> None:
         """Learn from the bus what was said before the tap was open."""
         bus = self._life.bus
-        names = [name for prefix in (keys.SERVER_PREFIX, keys.CONFIG_PREFIX) for name in bus.names(prefix + "*")]
+        names = [
+            name
+            for prefix in (keys.SERVER_PREFIX, keys.CONFIG_PREFIX, keys.CLOCK_PREFIX)
+            for name in bus.names(prefix + "*")
+        ]
         for key, sample in bus.read(names).items():
             self.recording.seed(key, sample.value, sample.stamp.encode() if sample.stamp else None)
 
