@@ -44,6 +44,7 @@ JOINTSTATE_MCAP = ExportKind(
     prepare=named_rows.prepare,
     convert=jointstate.convert,
     inspect=jointstate.inspect,
+    version=2,
 )
 PARQUET = ExportKind(
     name="parquet",
