@@ -362,9 +362,10 @@ def _event_of(message: Message) -> Mapping[str, Any] | None:
     detail = event.get("detail", {})
     if not {"name", "severity", "source"} <= event.keys() or not isinstance(detail, dict):
         return None
-    if event["severity"] not in messages.LEVELS:
+    severity = str(event["severity"])
+    if severity not in messages.LEVELS:
         return None
-    return {**event, "detail": {"wall_ns": event.get("wall_ns"), **detail}}
+    return {**event, "severity": severity, "detail": {"wall_ns": event.get("wall_ns"), **detail}}
 
 
 def _integer(row: Sequence[int], _: int) -> bytes:

@@ -125,3 +125,18 @@ def test_what_an_operator_marked_is_a_diagnostic_of_its_own(tmp_path: Path) -> N
     (status,) = mark.message.status
     assert (status.name, status.level, status.hardware_id) == ("operator: grasp", status.OK, "operator")
     assert mark.stamp_ns == mark.log_ns == open_episode(episode).start_ns + 250_000_000
+
+
+@pytest.mark.parametrize(
+    "event",
+    [b"no", b"[]", b'{"name": "a"}', b'{"name": "a", "severity": "loud", "source": "b"}',
+     b'{"name": "a", "severity": ["info"], "source": "b"}',
+     b'{"name": "a", "severity": "info", "source": "b", "detail": 1}'],
+)  # fmt: skip
+def test_what_anybody_wrote_in_the_place_of_an_event_is_counted_and_left_out(tmp_path: Path, event: bytes) -> None:
+    builder = EpisodeBuilder(tmp_path / "data")
+    builder.event("fall", at_s=0.1, severity="warning")
+    builder.write({keys.EVENT: event}, at_s=0.2)
+    bag, made = exported(builder.finish(), tmp_path / "out")
+    assert [one.message.status[0].level for one in read(bag, "/diagnostics")] == [1]
+    assert made.facts["unfit"] == {keys.EVENT: 1}
