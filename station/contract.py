@@ -74,6 +74,9 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
 
 POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
 
+WORLD_FRAME, OPERATOR_FRAME = "world", "operator"
+"""Frames that things are in: where the root of a robot is told, and where an operator's devices tell their poses."""
+
 DEPTH_STEP_M = 0.001
 """What a step is in the depth pictures that the station's cameras write [m]."""
 

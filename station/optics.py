@@ -71,6 +71,17 @@ class Intrinsics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """The camera matrix K, row by row, 3x3 [px]."""
         return self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0
 
+    @property
+    def projection(self) -> tuple[float, ...]:
+        """The projection matrix P of a single camera that was not rectified, row by row, 3x4 [px]."""
+        return self.fx, 0.0, self.cx, 0.0, 0.0, self.fy, self.cy, 0.0, 0.0, 0.0, 1.0, 0.0
+
+    @property
+    def lens(self) -> tuple[str, tuple[float, ...]]:
+        """Model and coefficients as readers of calibrations take them: plumb_bob of zeros for no distortion."""
+        name, wanted = ("plumb_bob", 5) if self.distortion in ("none", "plumb_bob") else (self.distortion, 0)
+        return name, (*self.coefficients, *[0.0] * (wanted - len(self.coefficients)))
+
 
 class Mount(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where a camera is, in a frame that it is fixed to.

@@ -1,8 +1,8 @@
 """Joints as ROS 2's ``sensor_msgs/msg/JointState`` in an MCAP file: Rerun and others draw them by name with no code.
 
 ``EPISODE.mcap`` has a topic per key that holds joint positions, called like the key. The name of a joint is that of its
-element without ``_pos``; velocities are given where the key holds them for all of its joints. Log and publish times and
-sequence numbers are those of the recording; the header's stamp is the publish time.
+element without ``_pos``; velocities and efforts are given where the key holds them for all of its joints. Log and
+publish times and sequence numbers are those of the recording; the header's stamp is the publish time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from adapters.exports.named_rows import Plan, Row, Rows
+from adapters.exports.named_rows import Plan, Rows
 from station.errors import EpisodeError
 from station.export.columns import KeyColumns
 from station.export.kind import ShardResult, Source
@@ -35,7 +35,8 @@ int32 sec
 uint32 nanosec
 """
 
-_POSITION, _VELOCITY = "_pos", "_vel"
+_POSITION = "_pos"
+_ALSO = (("_vel", "rad/s"), ("_torque", "N m"))
 _LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"
 _STAMP = struct.Struct("<iI")
 _NANOSECONDS = 1_000_000_000
@@ -56,7 +57,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
         schema = writer.register_schema(SCHEMA_NAME, "ros2msg", SCHEMA.encode())
         channels = {key: writer.register_channel(key, "cdr", schema, {}) for key in kinds}
         for row in rows:
-            data = kinds[row.key].encode(row)
+            data = kinds[row.key].encode(row.values, row.publish_ns)
             writer.add_message(channels[row.key], row.log_ns, data, row.publish_ns, row.sequence)
         writer.finish()
     return rows.made()
@@ -83,46 +84,51 @@ class JointStates:
 
     Args:
         joints: Names of n joints.
-        positions: Place of each joint's position [rad] among the numbers of the key.
-        velocities: Place of each joint's velocity [rad/s], or nothing.
+        places: Place of each joint's position [rad] among the numbers of the key, then of each velocity [rad/s], then
+            of each effort [N m]; n each, or none of the latter two.
+
+    Attributes:
+        places: Of all of them, in one tuple.
 
     All that never changes in a message is laid out once; what is left is the stamp and the numbers.
     """
 
-    def __init__(self, joints: Sequence[str], positions: Sequence[int], velocities: Sequence[int]) -> None:
-        self._places = [*positions, *velocities]
+    def __init__(self, joints: Sequence[str], places: Sequence[Sequence[int]]) -> None:
+        self.places = tuple(place for each in places for place in each)
         frame_id = struct.pack("<I1s", 1, b"\x00")
         body = _aligned(bytes(_STAMP.size) + frame_id) + struct.pack("<I", len(joints))
         for joint in joints:
             text = joint.encode() + b"\x00"
             body = _aligned(body + struct.pack("<I", len(text)) + text)
         self._names = body[_STAMP.size :]
-        first = _list_head(len(body), len(positions))
-        second = _list_head(len(body) + len(first) + 8 * len(positions), len(velocities))
-        self._tail = struct.Struct(f"<{len(first)}s{len(positions)}d{len(second)}s{len(velocities)}dI").pack
-        self._heads, self._count = (first, second), len(positions)
+        self._parts: list[bytes | float] = []
+        self._slots: list[int] = []
+        layout, size = "<", len(body)
+        for each in places:
+            head = _list_head(size, len(each))
+            self._parts.append(head)
+            self._slots += range(len(self._parts), len(self._parts) + len(each))
+            self._parts += [0.0] * len(each)
+            layout += f"{len(head)}s{len(each)}d"
+            size += len(head) + 8 * len(each)
+        self._tail = struct.Struct(layout).pack
 
     @classmethod
     def of(cls, columns: KeyColumns) -> JointStates | None:
         """Return what makes messages of a key; None where it holds no joint positions."""
-        place = {name: index for index, name in enumerate(columns.names)}
-        joints = [
-            name.removesuffix(_POSITION)
-            for name, unit in zip(columns.names, columns.units, strict=True)
-            if name.endswith(_POSITION) and unit == "rad"
-        ]
-        moving = [place[joint + _VELOCITY] for joint in joints if joint + _VELOCITY in place]
+        place = {named: index for index, named in enumerate(zip(columns.names, columns.units, strict=True))}
+        joints = [name.removesuffix(_POSITION) for name, unit in place if name.endswith(_POSITION) and unit == "rad"]
         if not joints:
             return None
-        return cls(joints, [place[joint + _POSITION] for joint in joints], moving if len(moving) == len(joints) else [])
+        wanted = [[(joint + ending, unit) for joint in joints] for ending, unit in ((_POSITION, "rad"), *_ALSO)]
+        return cls(joints, [[place[one] for one in each] if place.keys() >= {*each} else [] for each in wanted])
 
-    def encode(self, row: Row) -> bytes:
-        """Return a row as CDR."""
-        stamp = _STAMP.pack(*divmod(row.publish_ns, _NANOSECONDS))
-        numbers = [row.values[place] for place in self._places]
-        first, second = self._heads
-        tail = self._tail(first, *numbers[: self._count], second, *numbers[self._count :], 0)
-        return _LITTLE_ENDIAN_CDR + stamp + self._names + tail
+    def encode(self, values: Sequence[float], stamp_ns: int) -> bytes:
+        """Return a value of the key, with when it was written [ns since the epoch], as CDR."""
+        parts = self._parts.copy()
+        for slot, place in zip(self._slots, self.places, strict=True):
+            parts[slot] = values[place]
+        return _LITTLE_ENDIAN_CDR + _STAMP.pack(*divmod(stamp_ns, _NANOSECONDS)) + self._names + self._tail(*parts)
 
 
 def _list_head(at: int, count: int) -> bytes:

@@ -6,6 +6,7 @@ from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays, par
 from adapters.exports.hdf5 import kind as hdf5
 from adapters.exports.lerobot import kind as lerobot
 from adapters.exports.lerobot.plan import VERSION
+from adapters.exports.ros2 import kind as ros2
 from adapters.exports.zarr import kind as zarr
 from station.export.kind import ExportKind
 
@@ -44,6 +45,7 @@ JOINTSTATE_MCAP = ExportKind(
     prepare=named_rows.prepare,
     convert=jointstate.convert,
     inspect=jointstate.inspect,
+    version=2,
 )
 PARQUET = ExportKind(
     name="parquet",
@@ -53,6 +55,14 @@ PARQUET = ExportKind(
     convert=parquet_tables.convert,
     join=parquet_tables.join,
     inspect=named_rows.inspect,
+)
+ROS2 = ExportKind(
+    name="ros2",
+    summary="A ROS 2 bag (MCAP) per episode, of every write: for ros2 bag, rosbags, PlotJuggler, Foxglove.",
+    options=ros2.BagOptions,
+    prepare=ros2.prepare,
+    convert=ros2.convert,
+    inspect=ros2.inspect,
 )
 HDF5 = ExportKind(
     name="hdf5",

@@ -15,6 +15,7 @@ POSITIONS = elements(((f"{JOINT}_pos",), "rad"))
 VELOCITIES = elements(((f"{JOINT}_vel",), "rad/s"))
 GYRO = ("gyro_x", "gyro_y", "gyro_z")
 QUAT = ("root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
+ROOT = elements((("root_x", "root_y", "root_z"), "m"), (QUAT, ""))
 
 COUNTERS = (
     "tick", "stream_j_sends", "direct_sends", "move_sends", "commands_dropped_by_throttle", "slewed_sends",
@@ -106,7 +107,7 @@ def driven_by_policy(command: tuple[Element, ...] = (), rate_hz: float = 50.0) -
 
     gains = elements(((f"{JOINT}_kp",), "N m/rad"), ((f"{JOINT}_kd",), "N m s/rad"))
     state = (*POSITIONS, *VELOCITIES, *elements((QUAT, ""), (GYRO, "rad/s")))
-    qpos = (*elements((("root_x", "root_y", "root_z"), "m"), (QUAT, "")), *POSITIONS)
+    qpos = (*ROOT, *POSITIONS)
     return (
         make(keys.robot_state(ROBOT), "state", "f64", state, "root frame for gyro; world for the quaternion"),
         make(keys.policy_obs(ROBOT), "policy", "f32", note="observation of the network, in the policy's own order"),

@@ -11,10 +11,10 @@ import msgspec
 from mcap.writer import Writer
 
 from station.bus import codec
-from station.contract import Contract
+from station.contract import WORLD_FRAME, Contract
 from station.enrich import source
 from station.enrich.scalars import Shape
-from station.enrich.siblings import TRANSFORM, WORLD_FRAME, Siblings, siblings
+from station.enrich.siblings import TRANSFORM, Siblings, siblings
 from station.enrich.still import optics_of
 from station.enrich.vector import type_name
 from station.episode.reading.frames import all_pictures

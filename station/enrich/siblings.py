@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from station.bus import codec, keys
-from station.contract import Contract
+from station.bus.robot_streams import ROOT
+from station.contract import OPERATOR_FRAME, WORLD_FRAME, Contract, names_of
 from station.enrich.scalars import ObjectType, Shape
 from station.enrich.vector import VectorType
 from station.episode.reading.frames import captured_ns
@@ -34,8 +35,7 @@ from station.protobuf import foxglove
 from station.protobuf.schema import Schema
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-ROOT = ("root_x", "root_y", "root_z", "root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
-OPERATOR_FRAME, WORLD_FRAME = "operator", "world"
+_ROOT = names_of(ROOT)
 
 TYPED, LOG, IMAGE, POSE_TOPIC, POSES_TOPIC, TRANSFORM = "typed", "log", "image", "pose", "poses", "tf"
 
@@ -134,8 +134,8 @@ def _drawn(contract: Contract) -> list[tuple[str, str, Draw]]:
         return [(POSE_TOPIC, foxglove.POSE_IN_FRAME, lambda row, ns: foxglove.pose(row, ns, OPERATOR_FRAME))]
     if names and len(names) % len(POSE) == 0 and names == _poses(names):
         return [(POSES_TOPIC, foxglove.POSES_IN_FRAME, lambda row, ns: foxglove.poses(row, ns, OPERATOR_FRAME))]
-    if set(ROOT) <= set(names):
-        places = [names.index(name) for name in ROOT]
+    if set(_ROOT) <= set(names):
+        places = [names.index(name) for name in _ROOT]
 
         def draw(row: Sequence[float], time_ns: int) -> bytes:
             return foxglove.transform([row[place] for place in places], time_ns, WORLD_FRAME, contract.key)

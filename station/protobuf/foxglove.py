@@ -129,12 +129,11 @@ def camera_calibration(inner: Intrinsics, time_ns: int, frame: str) -> bytes:
     """
     message = _stamped(CAMERA_CALIBRATION, time_ns)
     message.frame_id, message.width, message.height = frame, inner.width, inner.height
-    lens, wanted = inner.coefficients, 4 if inner.distortion == "kannala_brandt" else 5
-    message.distortion_model = "plumb_bob" if inner.distortion == "none" else inner.distortion
-    message.D.extend([*lens, *[0.0] * (wanted - len(lens))])
+    message.distortion_model, coefficients = inner.lens
+    message.D.extend(coefficients)
     message.K.extend(inner.matrix)
     message.R.extend([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    message.P.extend([inner.fx, 0.0, inner.cx, 0.0, 0.0, inner.fy, inner.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
+    message.P.extend(inner.projection)
     return bytes(message.SerializeToString())
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from station import rotations
 from station.bus import contracts, keys
-from station.contract import Contract
+from station.bus.robot_streams import ROOT
+from station.contract import Contract, names_of
 from station.description import RobotDescription
 from station.protocols import Floats
 
@@ -124,7 +125,7 @@ def from_roll_pitch_yaw(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     return rotations.multiply(rotations.multiply(turns[0], turns[1]), turns[2])
 
 
-_ROOT = ("root_x", "root_y", "root_z", "root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
+_ROOT = names_of(ROOT)
 
 
 def _root(names: tuple[str, ...], values: Floats) -> Floats | None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import Reader
 
 from adapters.robots.g1 import twist_keys
 from station.bus import keys
@@ -121,6 +122,38 @@ def test_episodes_are_added_to_a_finished_data_set_once_each_and_as_it_was_made(
     found = json.loads(nothing.stdout)
     assert (nothing.returncode, found["episodes"], found["had"], len(found["there"])) == (0, 0, 2, 2)
     assert json.loads((out / "meta/info.json").read_text())["total_episodes"] == 2
+
+
+@pytest.mark.usefixtures("processes")
+def test_bags_of_several_episodes_are_made_side_by_side_and_read_by_rosbags(walked: Home, tmp_path: Path) -> None:
+    out = tmp_path / "bags"
+    tried = walked.run("export", "ros2", "*-000[12]", "--out", str(out), "--dry-run")
+    assert tried.returncode == 0, tried.stderr
+    assert tried.stdout.endswith("2 of 2 episodes would go in; nothing was written\n")
+    done = walked.run("export", "ros2", "--out", str(out), "--min-quality", "usable", "--jobs", "2", "--json")
+    assert done.returncode == 1, "one is not finished"
+    found = json.loads(done.stdout)
+    assert (found["episodes"], len(found["left_out"]), len(found["failed"])) == (2, 1, 1)
+    bags = sorted(out.iterdir())
+    assert [bag.name for bag in bags] == ["2026-11-21-g1-walk-0001", "2026-11-21-g1-walk-0002"]
+    for bag in bags:
+        with Reader(bag) as reader:
+            counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/joint_states"] == counts["/joint_commands"] == counts["/tf"] == 50
+    assert one_line(walked.run("export", "ros2", "--out", str(out))).startswith(f"{out}: is there already and not empt")
+    wrong = walked.run("export", "ros2", "*-0001", "--out", str(tmp_path / "x"), "--keys", "robot_stat")
+    assert "no key 'robot_stat' in it (did you mean" in one_line(wrong)
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.usefixtures("processes")
+def test_without_rosbags_a_bag_is_refused_in_a_line_that_says_how_to_get_it(walked: Home, tmp_path: Path) -> None:
+    code = "import runpy, sys; sys.modules['rosbags'] = None; runpy.run_module('station', run_name='__main__')"
+    command = ("export", "ros2", "*-0001", "--out", str(tmp_path / "bags"))
+    with AtTerminal(walked, *command, program=("-c", code)) as terminal:
+        assert terminal.finish() == 1
+    assert "pip install 'teleop-station[ros2]'" in " ".join(terminal.screen.split())
+    assert list(tmp_path.iterdir()) == []
 
 
 MANY = 50

@@ -185,6 +185,9 @@ PAGES = {
         "python -m tests.stock.stock_twist2 recorder": Typed(instead=f"{_STOCK} recorder --port 6379 --seconds 1"),
     }),
     "docs/training-data.md": Page(prepare=_recordings),
+    "docs/ros2-bags.md": Page({
+        "pip install": _INSTALLS,
+    }, has_upstream_data=False),
     "docs/assets.md": Page(has_upstream_data=False),
     "docs/your-arm.md": Page({
         "pip install": _INSTALLS,

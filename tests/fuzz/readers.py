@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -28,6 +29,7 @@ from station.errors import StationError
 from station.export import columns, tracks, words
 from station.report import story, tracking_plot
 from station.view.run import read_run
+from tests.adapters.exports.ros2.read_back import exported
 from tests.episode.filming import cloud
 from tests.episode.synthetic import EpisodeBuilder
 from tests.fuzz.mutants import mutant
@@ -70,6 +72,11 @@ def _eased(reader: EpisodeReader) -> None:
     replay._blends(shelf, reader, 0.1)  # type: ignore[arg-type]
 
 
+def _as_a_bag(reader: EpisodeReader) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        exported(reader.folder, Path(folder) / "bags")
+
+
 @cache
 def _policy() -> TrackerPolicy:
     return TrackerPolicy(assets.resolve("builtin:tracker.onnx"))
@@ -105,6 +112,7 @@ READERS = (
     Reader("show", read_run, ("station.view.phases",)),
     Reader("enrich", enrich, ("station.enrich.enrich", "station.enrich.siblings")),
     Reader("export", _numbers, ("station.export.tracks", "station.export.words", "station.episode.reading.reader")),
+    Reader("ros2", _as_a_bag, ("adapters.exports.ros2.topics",)),
     Reader("notebook", _in_a_notebook, ("station.api.steps",)),
     Reader("replay", _eased, (_REPLAYING + "replay",)),
     Reader("audit", _audited, (

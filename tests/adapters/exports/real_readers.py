@@ -3,10 +3,11 @@
     python tests/adapters/exports/real_readers.py duckdb LOOK --env FOLDER        of `station export parquet`
     python tests/adapters/exports/real_readers.py robomimic SET --env FOLDER      of `station export hdf5`
     python tests/adapters/exports/real_readers.py zarr BUFFER --env FOLDER        of `station export zarr`
+    python tests/adapters/exports/real_readers.py ros BAGS --env FOLDER           of `station export ros2`
 
 FOLDER gets a virtual environment with the reader (duckdb: 40 MB; robomimic: 1.5 GB, with a torch for the CPU; zarr: 140
-MB, of the major version that diffusion_policy and UMI pin), or is used when it has one. What is printed was read by
-that reader alone.
+MB, of the major version that diffusion_policy and UMI pin; ros: 300 MB, wheels of Kilted by somebody else than ROS), or
+is used when it has one. What is printed was read by that reader alone.
 """
 
 from __future__ import annotations
@@ -17,10 +18,18 @@ import inspect
 import json
 import subprocess
 import sys
+from array import array
 from pathlib import Path
 from typing import Any
 
-PACKAGES = {"duckdb": ["duckdb"], "robomimic": ["torch==2.13.0", "robomimic", "six"], "zarr": ["zarr<3"]}
+_KILTED = ("rclpy", "std-msgs", "geometry-msgs", "sensor-msgs", "diagnostic-msgs", "rmw-fastrtps-cpp",
+           "rmw-implementation")  # fmt: skip
+PACKAGES = {
+    "duckdb": ["duckdb"],
+    "robomimic": ["torch==2.13.0", "robomimic", "six"],
+    "zarr": ["zarr<3"],
+    "ros": ["mcap", "ros-std-srvs", *(f"ros-kilted-{name}" for name in _KILTED)],
+}
 
 
 def main() -> int:
@@ -31,7 +40,8 @@ def main() -> int:
     parser.add_argument("--env", type=Path, help="folder of the environment; made when it is not there")
     asked = parser.parse_args()
     if asked.env is None:
-        return {"duckdb": by_duckdb, "robomimic": by_robomimic, "zarr": by_zarr}[asked.reader](asked.export.absolute())
+        by = {"duckdb": by_duckdb, "robomimic": by_robomimic, "zarr": by_zarr, "ros": by_ros}
+        return by[asked.reader](asked.export.absolute())
     inside = asked.env / "bin/python"
     if not inside.exists():
         subprocess.run([sys.executable, "-m", "venv", str(asked.env)], check=True)
@@ -107,6 +117,42 @@ def by_zarr(root: Path) -> int:
         begin = int(end)
     say({name: array.shape[0] == begin for name, array in buffer["data"].arrays()})
     return 0
+
+
+def by_ros(root: Path) -> int:
+    """Let ROS itself decode every message; there is no wheel of tf2_msgs, so of transforms none.
+
+    Returns:
+        1 where a message does not end where ROS ends, or an array that ROS decoded does not stand in it.
+    """
+    serialization: Any = importlib.import_module("rclpy.serialization")
+    reading: Any = importlib.import_module("mcap.reader")
+    differing = 0
+    for path in sorted(root.rglob("*.mcap")):
+        say(path.name)
+        counts: dict[str, list[int]] = {}
+        shown: dict[str, str] = {}
+        with path.open("rb") as file:
+            for schema, channel, message in reading.make_reader(file).iter_messages():
+                package, _, name = schema.name.split("/")
+                if package == "tf2_msgs":
+                    continue
+                kind = getattr(importlib.import_module(f"{package}.msg"), name)
+                decoded = serialization.deserialize_message(message.data, kind)
+                longer = len(serialization.serialize_message(decoded)) - len(
+                    message.data
+                )  # it fills up, behind empty lists too
+                values = (getattr(decoded, field) for field in decoded.get_fields_and_field_types())
+                arrays = [one for one in values if isinstance(one, array)]
+                is_same = 0 <= longer <= 8 and all(one.tobytes() in message.data for one in arrays)
+                count = counts.setdefault(channel.topic, [0, 0])
+                count[0] += 1
+                count[1] += not is_same
+                shown.setdefault(channel.topic, f"{schema.name}: {decoded!r:.200}")
+        for topic, (count_of_it, unlike) in counts.items():
+            say(f"  {topic}: {count_of_it} read, {unlike} otherwise; {shown[topic]}")
+            differing += unlike
+    return int(differing > 0)
 
 
 def known(function: Any, **given: Any) -> Any:

@@ -13,7 +13,6 @@ from mcap.reader import make_reader
 from rerun.chunk import McapReader
 
 from adapters.exports.jointstate import SCHEMA_NAME, JointStates
-from adapters.exports.named_rows import Row
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
 from station.bus import keys
@@ -90,16 +89,17 @@ def test_messages_are_ros_joint_states_byte_by_byte_with_the_times_of_the_record
 
 @pytest.mark.parametrize("joints_of_a_key", [("a",), ("abcd",), ("abcd", "efgh"), ("a", "abcdefg", "abc")])
 def test_numbers_are_aligned_whatever_the_names_of_the_joints_are(joints_of_a_key: tuple[str, ...]) -> None:
-    names = tuple(f"{joint}{ending}" for ending in ("_vel", "_pos") for joint in joints_of_a_key)
-    units = ("rad/s",) * len(joints_of_a_key) + ("rad",) * len(joints_of_a_key)
+    count = len(joints_of_a_key)
+    names = tuple(f"{joint}{ending}" for ending in ("_vel", "_pos", "_torque") for joint in joints_of_a_key)
+    units = ("rad/s",) * count + ("rad",) * count + ("N m",) * count
     made = JointStates.of(KeyColumns(key="key", role="state", codec="f64", names=names, units=units))
     assert made is not None
     values = [float(number) for number in range(len(names))]
-    read = Cdr(made.encode(Row("key", 2, 5_000_000_007, 1, values)))
+    read = Cdr(made.encode(values, 5_000_000_007))
     assert (read.one("i"), read.one("I"), read.text()) == (5, 7, "")
     assert tuple(read.text() for _ in range(read.one("I"))) == joints_of_a_key
     assert (read.doubles(), read.doubles(), read.doubles()) == (
-        values[len(joints_of_a_key) :], values[: len(joints_of_a_key)], []
+        values[count : 2 * count], values[:count], values[2 * count :]
     )  # fmt: skip
     assert read.is_at_end
 
