@@ -200,11 +200,12 @@ class LiveStation:
         self.is_lost = False
         for key in names:
             shown, contract = self._shown.get(key), self._contracts.get(key)
+            if shown is not None and shown.live.contract == contract:
+                continue
             if shown is None and len(self._shown) >= MOST_KEYS:
                 self._tell_beyond(len(names))
                 break
-            if shown is None or shown.live.contract != contract:
-                self._show(key, LiveKey(key, contract, self._names.new(key)))
+            self._show(key, LiveKey(key, contract, self._names.new(key)))
 
     def step(self) -> None:
         """Send what is new of the keys that somebody looks at."""

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from adapters.robots.g1 import twist_keys
-from servers.foxglove import KIND, FoxgloveConfig
+from servers.foxglove import KIND, MOST_KEYS, FoxgloveConfig
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -237,6 +237,19 @@ def test_a_key_that_appears_later_gets_a_channel_and_one_that_is_described_later
     client.until(lambda: client.of(f"{strider.FEET}/typed"))
     value = client.of(f"{strider.FEET}/typed")[0].value
     assert (value.left_force, value.right_force) == (1.5, 2.5)
+
+
+def test_keys_without_end_cut_no_client_off_and_so_many_are_shown(start: Start, join: Join, bus: Bus) -> None:
+    bus.publish({GATE: b'{"n":1}'})
+    server = start()
+    client = join(server.url())
+    client.subscribe(GATE)
+    bus.call("MSET", *(part for number in range(MOST_KEYS + 100) for part in (f"zz-{number}", b"1")))
+    client.until(lambda: len(client.channels) == MOST_KEYS)
+    wait_until(lambda: "foxglove-keys-left-out" in server.words())
+    assert server.words().count("foxglove-keys-left-out") == 1
+    bus.publish({GATE: b'{"n":2}'})
+    client.until(lambda: client.of(GATE) and client.of(GATE)[-1].value == {"n": 2})
 
 
 class Monitor:
