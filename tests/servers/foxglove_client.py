@@ -66,7 +66,7 @@ class FoxgloveClient:
             self.until(lambda topic=topic: topic in self.channels)  # type: ignore[misc]
             number = 1000 + len(self._subscriptions)
             self._subscriptions[number] = self.channels[topic]
-            self.send({"op": "subscribe", "subscriptions": [{"id": number, "channelId": self.channels[topic]["id"]}]})
+            self._ask(number)
 
     def unsubscribe(self, topic: str) -> None:
         """Take back a subscription."""
@@ -99,6 +99,10 @@ class FoxgloveClient:
         """Hang up."""
         self._held.close()
 
+    def _ask(self, number: int) -> None:
+        channel = self._subscriptions[number]["id"]
+        self.send({"op": "subscribe", "subscriptions": [{"id": number, "channelId": channel}]})
+
     def _on_text(self, said: dict[str, Any]) -> None:
         match said["op"]:
             case "serverInfo":
@@ -108,6 +112,12 @@ class FoxgloveClient:
             case "unadvertise":
                 gone = set(said["channelIds"])
                 self.channels = {topic: one for topic, one in self.channels.items() if one["id"] not in gone}
+            case "status" if said["message"].startswith("Unknown channel ID: "):
+                # foxglove-sdk 0.30.3 advertises a channel a moment before it takes subscriptions to it.
+                refused = int(said["message"].rpartition(" ")[2])
+                for number, channel in self._subscriptions.items():
+                    if channel["id"] == refused and channel in self.channels.values():
+                        self._ask(number)
             case "status" | "removeStatus":
                 self.statuses.append(said)
             case other:
