@@ -24,7 +24,7 @@ from station.cli.main import VERBS, module_of
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 HEAVY = (
-    "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
+    "av", "dynamixel_sdk", "foxglove", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
     "pandas", "polars", "pygame", "pyrealsense2", "rerun", "rosbags", "scservo_sdk", "serial", "simplejpeg",
     "station_kord", "torch", "xrobotoolkit_sdk", "zarr", "zmq",
 )  # fmt: skip

@@ -51,7 +51,7 @@ class _Settings(msgspec.Struct, frozen=True):
         if self.port == "0" and self.tls_port in ("0", ""):
             return []
         named = [word.removeprefix("-") for word in self.bind.split()] or ["*"]
-        return [word for word in named if not _is_loopback(word)]
+        return [word for word in named if not is_loopback(word)]
 
 
 def inspect(bus: Bus) -> Protection:
@@ -78,7 +78,7 @@ def inspect(bus: Bus) -> Protection:
 def _by_our_own_way(bus: Bus) -> Protection:
     """Judge a server that tells nothing of itself by how we reach it."""
     address = bus.address
-    if address.socket is None and not _is_loopback(address.host):
+    if address.socket is None and not is_loopback(address.host):
         return Protection(
             "open", "open to the network without a password: anybody there can move the robot", address.host
         )
@@ -111,7 +111,8 @@ def _stranger_may_write(bus: Bus) -> bool:
     return True
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether an address, or the name localhost, is reached from this machine alone."""
     if host == "localhost":
         return True
     try:

@@ -16,7 +16,7 @@ from station.enrich import source
 from station.enrich.scalars import Shape
 from station.enrich.siblings import TRANSFORM, Siblings, siblings
 from station.enrich.still import optics_of
-from station.enrich.vector import type_name
+from station.enrich.vector import TypeNames
 from station.episode.reading.frames import all_pictures
 from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
@@ -164,7 +164,7 @@ class _Output:
         self._writer.add_metadata(source.RECORD, facts)
         self._schemas: dict[protobuf.Schema, int] = {}
         self._made: dict[Contract, Siblings | str] = {}
-        self._names: set[str] = set()
+        self._names = TypeNames()
         self._routes: dict[int, tuple[Siblings, list[int]]] = {}
         for channel in survey.channels.values():
             self._plan(channel, survey.shapes[channel.topic])
@@ -214,7 +214,7 @@ class _Output:
             return
         contract = msgspec.structs.replace(channel.contract, key=channel.topic)
         if contract not in self._made:
-            self._made[contract] = siblings(contract, shape, self._name(channel.topic))
+            self._made[contract] = siblings(contract, shape, self._names.new(channel.topic))
         made = self._made[contract]
         if isinstance(made, str):
             self.left_out[channel.topic] = made
@@ -235,16 +235,6 @@ class _Output:
         if schema not in self._schemas:
             self._schemas[schema] = self._writer.register_schema(schema.name, protobuf.ENCODING, schema.data)
         return self._schemas[schema]
-
-    def _name(self, topic: str) -> str:
-        """Return a name for a message type that no other key of this file has."""
-        name = first = type_name(topic)
-        number = 1
-        while name in self._names:
-            number += 1
-            name = f"{first}_{number}"
-        self._names.add(name)
-        return name
 
 
 def _is_picture(channel: Channel) -> bool:

@@ -56,3 +56,20 @@ def type_name(key: str) -> str:
     """Return the full name of the message type of a key: ``robot_state_g1`` is ``station.RobotStateG1``."""
     words = "".join(word[0].upper() + word[1:] for word in re.findall(r"[A-Za-z0-9]+", key))
     return f"station.{words}" if words[:1].isalpha() else f"station.Key{words}"
+
+
+class TypeNames:
+    """Names of message types, each given once."""
+
+    def __init__(self) -> None:
+        self._given: set[str] = set()
+
+    def new(self, key: str) -> str:
+        """Return a name for the message type of a key that no other key has, as `type_name` or with a number."""
+        name = first = type_name(key)
+        number = 1
+        while name in self._given:
+            number += 1
+            name = f"{first}_{number}"
+        self._given.add(name)
+        return name

@@ -143,6 +143,10 @@ PAGES = {
         "station serve lidar": Typed(until="active on"),
         "python -m adapters.lidars.dds_room": Typed(elsewhere="tests/servers/test_proof_lidar.py"),
     }, has_upstream_data=False),
+    "docs/foxglove.md": Page({
+        "pip install": _INSTALLS,
+        "station serve foxglove": Typed(elsewhere="tests/servers/test_foxglove.py, beside a bus"),
+    }, has_upstream_data=False),
     "docs/lcm.md": Page({
         "station up": Typed(elsewhere="tests/main_job/test_lcm.py"),
         "XDG_RUNTIME_DIR": Typed(elsewhere="tests/main_job/test_lcm.py"),

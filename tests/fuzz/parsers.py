@@ -52,6 +52,7 @@ from station.contract import TIMING_STAGES
 from station.control.command_validator import CommandSample, CommandValidator, check_command
 from station.control.envelope import Envelope, Ranges, Span, stated
 from station.control.stop_trace import StopTrace
+from station.enrich.live import LiveKey, written_wall_ns
 from station.enrich.scalars import Shape
 from station.enrich.siblings import siblings
 from station.episode.reading import vectors
@@ -480,6 +481,19 @@ def _row(data: bytes) -> None:
         np.array(row, dtype=np.int64)
 
 
+def _live(data: bytes) -> None:
+    """What a viewer is sent of any key, with the value and with the stamp that bytes are."""
+    mark = stamp.decode(data)
+    for key in (keys.robot_state(ROBOT), keys.command_gate(ROBOT), keys.EVENT, keys.lidar_cloud("top"), "stranger"):
+        live = LiveKey(key, contracts.contract(key), "station.Fuzz")
+        sample = Sample(key, data, mark, None, clocks.Offset(NOW_NS, 1_000))
+        written_ns = written_wall_ns(sample, SYSTEM)
+        assert 0 <= written_ns < 1 << 63
+        sent = live.encode(sample, written_ns)
+        assert sent is None or len(sent) == len(live.topics)
+        assert sent is None or live.topics[0].encoding != "json" or isinstance(json.loads(sent[0]), dict)
+
+
 def _columns(kind: Any, data: bytes) -> None:
     numbers = vectors.decoder(kind)(data)
     if numbers is not None:
@@ -627,8 +641,11 @@ def _told() -> list[Parser]:
         Parser("timing", _row, (TIMING,), (_EPISODE + "reading.steps",)),
         Parser("typed fields", _typed, (dumped(GATE), dumped(CONFIG)),
                ("station.enrich.enrich", "station.enrich.siblings")),
+        Parser("what a live viewer is sent", _live, (
+            dumped(GATE), EVENT.encode(), cloud(1), codec.f64(np.ones(65)), b"1 2 3 a.b.c.d 4"),
+            ("station.enrich.live",)),
         Parser("robot's description", _described, (dumped(CONFIG), dumped({"description": DESCRIPTION})),
-               ("station.bus.contracts", "station.description")),
+               ("station.bus.contracts", "station.description", "servers.foxglove")),
         Parser("robot's state", partial(robot_state, contracts.contract(keys.robot_state(ROBOT))),
                (codec.f64(np.ones(65)),), (_EPISODE + "reading.steps",)),
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
