@@ -25,8 +25,6 @@ from station.bus.protection import is_loopback
 from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.config import to_plain
-from station.enrich.live import LiveKey, written_wall_ns
-from station.enrich.vector import TypeNames
 from station.errors import BusError, StationError
 from station.life.event_feed import EventFeed
 from station.life.events import Event
@@ -36,6 +34,8 @@ from station.life.server import Life, ServerKind
 if TYPE_CHECKING:
     from foxglove import Channel, Context
     from foxglove.websocket import ChannelView, Client, WebSocketServer
+
+    from station.enrich.live import LiveKey
 
 log = logging.getLogger(__name__)
 
@@ -176,6 +176,13 @@ class LiveStation:
     """
 
     def __init__(self, life: Life, context: Context, subscribers: Subscribers) -> None:
+        from station.enrich.live import (
+            LiveKey,
+            written_wall_ns,
+        )  # Protobuf and NumPy, which a list of servers needs not
+        from station.enrich.vector import TypeNames
+
+        self._new_key, self._written_ns = LiveKey, written_wall_ns
         self._life, self._bus, self._context, self._subscribers = life, life.bus, context, subscribers
         self._contracts, self._stated = Contracts(), dict[str, bytes]()
         self._names = TypeNames()
@@ -205,7 +212,7 @@ class LiveStation:
             if shown is None and len(self._shown) >= MOST_KEYS:
                 self._tell_beyond(len(names))
                 break
-            self._show(key, LiveKey(key, contract, self._names.new(key)))
+            self._show(key, self._new_key(key, contract, self._names.new(key)))
 
     def step(self) -> None:
         """Send what is new of the keys that somebody looks at."""
@@ -213,7 +220,7 @@ class LiveStation:
             self._follow()
         for key, shown in self._wanted.items():
             if (sample := self._fresh(key)) is not None:
-                self._send(shown, sample, written_wall_ns(sample, self._life.clock))
+                self._send(shown, sample, self._written_ns(sample, self._life.clock))
         for event in () if self._feed is None else self._feed.pop():
             self._send_event(event)
 

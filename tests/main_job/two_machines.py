@@ -110,13 +110,16 @@ def judge(folder: Path) -> Judged:
     marks = [stamp.decode(message.stamp or b"") for message in reader.messages([key], stamps=True)]
     truly_s = {mark.seq: mark.mono_ns * 1e-9 - AHEAD_S for mark in marks if mark is not None}
     steps = open_episode(folder).steps()
+    has_timing = np.isfinite(steps.timing["tick"])  # not of a step that a cut, or the end, has parted
+    ticks, numbers = (steps.timing[name][has_timing].astype(int) for name in ("tick", "command_seq"))
+    gate = steps.gate[has_timing]
     by_tick = {int(row[0]): row[2:] * 1e-9 for row in _timing(reader)}  # by the robot's clock, wherever it was recorded
-    instants = np.array([by_tick[tick] for tick in steps.timing["tick"].astype(int)])
+    instants = np.array([by_tick[tick] for tick in ticks])
     written_s, used_s = instants[:, WRITTEN], instants[:, OBSERVED]
     is_known = written_s > 0
     first = int(np.argmax(is_known))  # before it is the pre-roll, in which the clock was not known yet
     assert is_known[first:].all()
-    truth_s = np.array([truly_s.get(number, np.nan) for number in steps.timing["command_seq"].astype(int)])
+    truth_s = np.array([truly_s.get(number, np.nan) for number in numbers])
     judged = is_known & np.isfinite(truth_s)  # what was written before the pre-roll is in no recording
     said = [decode_statement(message.data, BOOT) for message in reader.messages([keys.clock(BOOT)])]
     assert len(said) >= 3, "every second, in the recording"
@@ -127,7 +130,7 @@ def judge(folder: Path) -> Judged:
         assert statement is not None
         wrong_s = (statement.to_bus - (statement.wall_ns - statement.mono_ns)) * 1e-9  # both have one wall clock
         assert abs(wrong_s) <= statement.error_ns * 1e-9 + OWN_ERROR_S
-    follows = judged & np.isin(steps.gate, ["entering", "tracking"])
+    follows = judged & np.isin(gate, ["entering", "tracking"])
     assert follows.sum() > 50
     oldest_s = (used_s - truth_s)[follows].max()
     assert oldest_s <= LIMIT_S + bound_s
