@@ -47,4 +47,8 @@ def test_a_gamepad_of_one_station_walks_the_robot_of_another_over_lcm(tmp_path: 
     assert walked > 200
     legs = audit["parts"]["legs"]
     assert (legs["compared"] > 200, legs["different"], audit["different"]) == (True, 0, 0)
-    assert [event.source for event in load_manifest(Path(episode)).events if event.name == "lcm-live"] == ["cockpit"]
+    live = [event.source for event in load_manifest(Path(episode)).events if event.name == "lcm-live"]
+    assert set(live) == {"cockpit"}
+    assert len(live) <= 2, (
+        "once for the pedals, and where a leader's script came near enough to its arm, once for those"
+    )
