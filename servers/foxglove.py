@@ -20,8 +20,8 @@ import msgspec
 
 from station import libraries
 from station.bus import codec, keys
+from station.bus.address import is_loopback
 from station.bus.contracts import Contracts
-from station.bus.protection import is_loopback
 from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.config import to_plain

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import os
 import socket as sockets
 import tempfile
@@ -66,7 +67,7 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_local(self) -> bool:
         """Whether the server is on this machine, as far as the address says: a tunnel looks like one that is."""
-        return self.socket is not None or self.host == "localhost" or self.host.startswith(("127.", "::1"))
+        return self.socket is not None or is_loopback(self.host)
 
     @property
     def clock(self) -> Clock:
@@ -104,6 +105,16 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
         return f"{'rediss' if self.tls else 'redis'}://{self.host}:{self.port}/{self.db}"
 
     __repr__ = __str__
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address, or the name localhost, is reached from this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
 
 
 def parse(text: str) -> BusAddress:

@@ -6,13 +6,13 @@ The published TWIST set-up opens Redis to the network without one; anybody there
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import secrets
 from typing import Literal
 
 import msgspec
 
 from station.bus import keys
+from station.bus.address import is_loopback
 from station.bus.client import Bus
 from station.bus.connection import Connection, ConnectionLost
 from station.errors import BusError
@@ -109,13 +109,3 @@ def _stranger_may_write(bus: Bus) -> bool:
     except BusError:  # asked for a password, or refused the write
         return False
     return True
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address, or the name localhost, is reached from this machine alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False

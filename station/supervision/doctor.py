@@ -28,7 +28,7 @@ from station.life.stop_file import LatchedStop, StopFile
 from station.supervision.supervisor import log_folder
 
 _LOOK_S = 1.0
-_FAR_MS = 1.0  # a round trip within a machine takes 0.2 ms, over a cable 0.5
+_FAR_MS = 1.0  # a round trip within a machine takes 0.2 ms
 _SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
 _GATE_REMEDIES = {
     "waiting": "the robot stands until a fresh, valid command comes; see the command key above",

@@ -148,6 +148,7 @@ def _statement() -> ClockStatement:
 @pytest.mark.parametrize(("url", "is_local"), [
     ("unix:///run/bus.sock", True), ("redis://localhost:6379/0", True), ("redis://127.0.0.1", True),
     ("redis://[::1]:6379/0", True), ("redis://192.168.123.164", False), ("rediss://robot.lab:6379", False),
+    ("redis://127.lab.example", False), ("redis://[::1234]:6379/0", False),
 ])  # fmt: skip
 def test_whether_a_bus_is_on_this_machine(url: str, is_local: bool) -> None:
     assert parse(url).is_local == is_local
