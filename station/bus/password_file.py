@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from station.atomic_file import write_atomic
 from station.errors import ConfigError
 
 _MOST_BYTES = 1 << 16
@@ -45,16 +46,13 @@ def read(path: Path) -> dict[str, str]:
 
 
 def write(path: Path, passwords: dict[str, str]) -> None:
-    """Write a file that only this user can read, in place of an older one.
+    """Write a file that only this user can read, in place of an older one: who has that one open gets nothing new.
 
     Raises:
         ConfigError: the file cannot be written.
     """
     text = "".join(f"{user} {password}".strip() + "\n" for user, password in passwords.items())
     try:
-        path.unlink(missing_ok=True)  # one that others have open, or may read, must not get the new ones
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w") as file:
-            file.write(text)
+        write_atomic(path, text.encode(), mode=0o600)
     except OSError as error:
         raise ConfigError(f"password file {path}: cannot be written: {error.strerror}") from None

@@ -135,6 +135,24 @@ def test_a_user_that_the_environment_names_is_meant_on_a_bus_of_our_own_too(
     assert addresses.own().username is None
 
 
+def test_who_reads_a_password_file_while_it_is_written_finds_a_whole_one(tmp_path: Path) -> None:
+    file = tmp_path / "passwords"
+    password_file.write(file, {"operator": SECRET})
+    ended = threading.Event()
+
+    def write() -> None:
+        while not ended.is_set():
+            password_file.write(file, {"operator": SECRET})
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        assert all(password_file.read(file) == {"operator": SECRET} for _ in range(1000))
+    finally:
+        ended.set()
+        writer.join()
+
+
 def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work(free_port: int) -> None:
     arguments = [sys.executable, "-m", "station", "bus", "start", "--bind", "0.0.0.0", "--tcp", str(free_port)]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def bare(compiler: str, network_links: None, real_time: None, tmp_path: Path) ->
 
 def test_r11_without_a_guard_a_cable_that_is_pulled_leaves_the_robot_stiff_and_the_doctor_says_so(bare):
     bare.start_server()
-    bare.arm()
+    bare.wait_ready()
     assert "no guard owns the motors" in bare.operator_home.run("doctor").stdout
     _is_left_stiff(bare)
 
@@ -117,17 +118,30 @@ def test_r11_without_a_guard_a_cable_that_is_pulled_leaves_the_robot_stiff_and_t
 def test_r11_a_guard_beside_the_station_does_not_help_when_the_cable_is_pulled_and_the_doctor_says_so(bare, plain):
     bare.start_guard(plain, bare.operator, "127.0.0.1")
     bare.start_server("127.0.0.1")
-    bare.arm()
+    bare.wait_ready()
     assert "not when the robot's cable is cut" in bare.operator_home.run("doctor").stdout
     _is_left_stiff(bare)
 
 
+def _wait_for_states(found: Deployment, more: int) -> None:
+    until = found.twin()["states"]["sent"] + more
+    wait_until(lambda: found.twin()["states"]["sent"] > until)
+
+
 def _is_left_stiff(found: Deployment) -> None:
-    """Pull the cable, see that the robot holds what it was told last, and that it is damped once the cable is back."""
-    pulled_ns = found.link.pull(found.operator)
-    wait_until(lambda: found.seen()["arming"] == "disarmed")
-    ticks = found.twin()["states"]["sent"]
-    wait_until(lambda: found.twin()["states"]["sent"] > ticks + 1000)  # two seconds of the robot's
+    """Arm, pull the cable, see that the robot holds what it was told last, and that it is damped once the cable is
+    back."""
+    for _ in range(ATTEMPTS):
+        found.arm()
+        armed_ns = time.monotonic_ns()
+        pulled_ns = found.link.pull(found.operator)
+        wait_until(lambda: found.seen()["arming"] == "disarmed")
+        _wait_for_states(found, 1000)  # two seconds of the robot's
+        if not found.first_damping_ns(armed_ns):  # else it was given up before: nothing gets through a cable pulled
+            break
+        found.link.plug()
+    else:
+        raise AssertionError(f"gave the robot up {ATTEMPTS} times, {found.last_told('robot-fault')}")
     assert found.twin()["is_stiff"], "what a guard on the robot's computer is for"
     found.link.plug()
     wait_until(lambda: found.twin()["is_damped"])
