@@ -85,7 +85,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
         "low-level": (*_STATES, *shared["state"], *signals, keys.EVENT),
         "recorder": (keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE, keys.EVENT),
         "sensor": (*_OPERATOR, *_SENSORS, *shared["sensor"], keys.EVENT),
-        "observer": (keys.EVENT,),
+        "observer": (keys.log(_ANY), keys.EVENT),
         "viewer": (),
         "operator": (
             *commands,
@@ -96,6 +96,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
             keys.CONTROLLER,
             keys.POLICY,
             keys.TWIN,
+            keys.host(_ANY),
             keys.EVENT,
             keys.MOTION_CONTROL,
         ),

@@ -269,6 +269,8 @@ def _station() -> list[Contract]:
 _PREFIXES = {
     keys.SERVER_PREFIX: "health of a server, twice a second",
     keys.CLOCK_PREFIX: "a machine's clock beside the bus server's, every second",
+    keys.HOST_PREFIX: "servers that a station wants on another machine, twice a second",
+    keys.LOG_PREFIX: "newest lines that a server on another machine printed",
     keys.CONFIG_PREFIX: "what a server runs: policy, hashes, gains, rates, code revision",
 }
 

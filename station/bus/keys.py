@@ -194,6 +194,8 @@ ARM = "station:arm"
 CONTROLLER = "station:controller"
 POLICY = "station:policy"
 TWIN = "station:twin"
+HOST_PREFIX = "station:host:"
+LOG_PREFIX = "station:log:"
 EVENT = "station:event"
 MOTION_CONTROL = "station:motion"
 RECORD = "station:record"
@@ -216,6 +218,16 @@ def server(name: str) -> str:
 def clock(boot: str) -> str:
     """What a machine says of its clock, by its boot."""
     return CLOCK_PREFIX + boot
+
+
+def host(name: str) -> str:
+    """Which servers a station wants on a machine, by its name, and how far each should be."""
+    return HOST_PREFIX + name
+
+
+def log(name: str) -> str:
+    """The newest lines that a server printed which the agent of its machine started."""
+    return LOG_PREFIX + name
 
 
 def server_config(name: str) -> str:

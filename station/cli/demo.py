@@ -54,10 +54,10 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None, bus: str
     code, episode = up.run(
         book, bus=bus, data=data_folder(data), recording=recording, unattended=True, for_s=seconds, is_brief=True
     )
-    if episode is None and code != _INTERRUPTED:
+    if not episode and code != _INTERRUPTED:
         raise StationError("the demo recorded nothing; the lines above say why")
-    if episode is not None:
-        code = _report(episode, gl, data) or code
+    if episode:
+        code = _report(Path(episode), gl, data) or code
     raise SystemExit(code)
 
 

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 import msgspec
 
 from station.cli import candidates, log_lines
 from station.cli.options import address_of, bus_option, json_option
-from station.errors import StationError, UnknownName
+from station.errors import BusError, StationError, UnknownName
 from station.printable import printable
 
+if TYPE_CHECKING:
+    from station.bus.client import Bus
+
 _LOOK_S = 0.2
-_MOST_BYTES = 4 * 1024 * 1024
 
 
 @click.command("logs")
@@ -30,25 +31,53 @@ _MOST_BYTES = 4 * 1024 * 1024
 @json_option
 @bus_option
 def command(servers: Sequence[str], count: int, is_live: bool, as_json: bool, bus: str | None) -> None:
-    """Print the last lines that servers of `station up` printed on this machine, of SERVER or of all.
+    """Print the last lines that servers of `station up` printed, of SERVER or of all.
 
-    They are kept until the server is started again. With STATION_LOG_FORMAT=json in the environment of `station up` its
-    servers log objects with time, level, logger, pid and message; --json prints these with the name of their server,
-    and each other line as an object of server and message. STATION_LOG names a level: debug, info, warning, error,
-    critical.
+    Of servers on other machines that is what came over the bus: their newest lines. On this machine all are kept until
+    the server is started again. With STATION_LOG_FORMAT=json in the environment of `station up` its servers log objects
+    with time, level, logger, pid and message; --json prints these with the name of their server, and each other line as
+    an object of server and message. STATION_LOG names a level: debug, info, warning, error, critical.
     """
+    from station.bus.client import Bus
+    from station.supervision.log_tail import LogTail
     from station.supervision.supervisor import log_folder
 
-    folder = log_folder(address_of(bus))
-    files = {file.stem: file for file in sorted(folder.glob("*.log"))}
-    for name in servers:
-        if name not in files:
-            raise UnknownName("server's log", name, files)
-    if not files:
-        raise StationError(f"no logs in {folder}: no `station up` has run on that bus; name another with --bus")
-    chosen = {name: files[name] for name in servers} or files
-    show = _print_objects if as_json else partial(_print, width=max(map(len, chosen)))
-    tails = {name: _Tail(file) for name, file in chosen.items()}
+    address = address_of(bus)
+    folder = log_folder(address)
+    with contextlib.ExitStack() as stack:
+        line = None
+        with contextlib.suppress(BusError):  # what is on this machine is shown without it too
+            line = stack.enter_context(Bus(address, name="logs", timeout_s=1.0))
+        known: dict[str, _Tail] = {file.stem: LogTail(file) for file in sorted(folder.glob("*.log"))}
+        if line is not None:
+            known |= _of_other_machines(line, folder)
+        for name in servers:
+            if name not in known:
+                raise UnknownName("server's log", name, known)
+        if not known:
+            raise StationError(f"no logs in {folder}: no `station up` has run on that bus; name another with --bus")
+        tails = {name: known[name] for name in servers} or known
+        _show(tails, count, is_live=is_live, as_json=as_json)
+
+
+def _of_other_machines(bus: Bus, folder: Path) -> dict[str, _Tail]:
+    """Return the logs of servers that agents have started, but for those whose newer file is here."""
+    from station.supervision.agent import HostTail, read_logs
+
+    found: dict[str, _Tail] = {}
+    for name, log in read_logs(bus).items():
+        file = folder / f"{name}.log"
+        if not file.exists() or file.stat().st_mtime_ns < log.wall_ns:
+            found[name] = HostTail(bus, name)
+    return found
+
+
+class _Tail(Protocol):
+    def read(self, *, is_last: bool = False) -> list[str]: ...
+
+
+def _show(tails: Mapping[str, _Tail], count: int, *, is_live: bool, as_json: bool) -> None:
+    show = _print_objects if as_json else partial(_print, width=max(map(len, tails)))
     for name, tail in tails.items():
         lines = tail.read(is_last=not is_live)
         show(name, lines[len(lines) - min(count, len(lines)) :])
@@ -81,26 +110,3 @@ def _object(name: str, line: str) -> bytes:
     except (msgspec.DecodeError, RecursionError):
         found = {"message": line}
     return msgspec.json.encode(found | {"server": name})
-
-
-class _Tail:
-    """Reads a log as it grows; one that was begun anew is read from its beginning."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._inode, self._offset = 0, 0
-
-    def read(self, *, is_last: bool = False) -> list[str]:
-        """Return the lines that are new, a line that is not whole yet only where it is the last look."""
-        try:
-            with self._path.open("rb") as file:
-                state = os.fstat(file.fileno())
-                if state.st_ino != self._inode or state.st_size < self._offset:
-                    self._inode, self._offset = state.st_ino, max(0, state.st_size - _MOST_BYTES)
-                file.seek(self._offset)
-                text = file.read(_MOST_BYTES)
-        except FileNotFoundError:  # between one station and the next
-            return []
-        end = len(text) if is_last or len(text) == _MOST_BYTES else text.rfind(b"\n") + 1
-        self._offset += end
-        return text[:end].decode("utf-8", "replace").splitlines()

@@ -33,6 +33,7 @@ VERBS = {
     "retarget": "Make motions of a robot of people's motion capture: BVH, AMASS, C3D.",
     "serve": "Run one server in this terminal.",
     "down": "End the station that runs, in order, as Ctrl-C in its terminal does.",
+    "host": "Let a station on another machine start servers here.",
     "logs": "Print what the servers said; --follow goes on.",
     "settings": "List the servers, or the settings of one and what they mean.",
     "status": "Show servers and their states, keys, rates and ages.",

@@ -44,7 +44,13 @@ def command(
         from station.cli.serve import command as serve
 
         serve.callback(  # type: ignore[misc]  # a command has one
-            server="robot-twin", bus=bus, sets=(f"twin={twin}", *sets), name="", config_json="", list_keys=False
+            server="robot-twin",
+            bus=bus,
+            sets=(f"twin={twin}", *sets),
+            name="",
+            config_json="",
+            is_expected=False,
+            list_keys=False,
         )
         return
     if sets:

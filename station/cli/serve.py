@@ -20,8 +20,12 @@ from station.errors import ConfigError
 @set_option("key=value")
 @click.option("--name", default="", help="Name on the bus, when two of a kind run.  [default: the server's]")
 @click.option("--config-json", hidden=True, default="", help="Whole configuration, from a supervisor.")
+@click.option("--expect", "is_expected", is_flag=True, hidden=True,
+              help="Look for what that names, which a supervisor on another machine could not.")  # fmt: skip
 @click.option("--list-keys", is_flag=True, help="List what --set takes, as `station settings` does, and exit.")
-def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, config_json: str, list_keys: bool) -> None:
+def command(
+    server: str, bus: str | None, sets: tuple[str, ...], name: str, config_json: str, is_expected: bool, list_keys: bool
+) -> None:
     """Run SERVER until it is interrupted."""
     from station.cli.options import address_of
     from station.life.server import ServerKind
@@ -33,7 +37,7 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
         return
     values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
     built = config.build(kind.config, values, where=f"server {server} (`station settings {server}` lists them)")
-    if kind.expect is not None and not config_json:  # a supervisor has asked before it started this
+    if kind.expect is not None and (is_expected or not config_json):  # else a supervisor has asked before
         kind.expect(built)
     python_child.write_stacks_when_asked()
     with log_lines.never_waited_for():

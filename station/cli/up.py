@@ -37,16 +37,18 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
     "--operator", default="", help="Who operates, for the episode.  [default: of your config, else your login name]"
 )
 @click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (25s, 2min).")
+@click.option("--on", "hosts", metavar="SERVER=HOST", multiple=True,
+              help="Run a server on a machine that has joined the bus (`station host join` there).")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what would happen and exit.")
 @set_option("server.key=value")
 @data_option
 @bus_option
 def command(
     runbook: str, yes: bool, record: bool, task: str, instruction: str, operator: str, for_: str | None,
-    dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
+    hosts: tuple[str, ...], dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
 ) -> None:  # fmt: skip
     """Run RUNBOOK (a file, or the name of one that ships) in order, and take it all down again at the end."""
-    book = runbooks.load(runbooks.find(runbook), sets)
+    book = runbooks.load(runbooks.find(runbook), sets, hosts)
     if dry_run:
         print_plan(book)
         book.expect_found()
@@ -58,7 +60,7 @@ def command(
         person = {"id": user_config.operator(operator)}
         recording = Recording(task=task or book.name, instruction=instruction, operator=person, planned_s=for_s)
     code, episode = run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)
-    if episode is not None:
+    if episode:
         click.echo(episode)
     raise SystemExit(code)
 
@@ -66,8 +68,9 @@ def command(
 def run(
     book: Runbook, *, bus: str | None, data: Path, recording: Recording | None, unattended: bool, for_s: float | None,
     is_brief: bool = False,
-) -> tuple[int, Path | None]:  # fmt: skip
-    """Run a runbook in this terminal; return the exit code and the folder of the episode, if one was recorded.
+) -> tuple[int, str]:  # fmt: skip
+    """Run a runbook in this terminal; return the exit code and the folder of the episode, "" where none was recorded;
+    of one that was recorded on another machine, that machine's name and a colon before it.
 
     `is_brief` shows progress to somebody who looks on, rather than servers to somebody who operates.
     """
@@ -96,10 +99,14 @@ def run(
                 raise
             finally:
                 supervisor.stop_all()
-        episode = Path(session.episode.path) if session.episode and session.episode.path else None
+        host = session.recorder_host
         if session.episode is not None:
-            face.report(f"recorded {_summary(session.episode)}; look at it with: station check {session.episode.path}")
-        return code, episode
+            where = f"on host {host} " if host else ""
+            face.report(
+                f"recorded {_summary(session.episode)}; look at it {where}with: station check {session.episode.path}"
+            )
+        path = (session.episode.path or "") if session.episode is not None else ""
+        return code, f"{host}:{path}" if host and path else path
 
 
 def _died(supervisor: Supervisor) -> dict[str, str]:

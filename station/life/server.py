@@ -133,11 +133,16 @@ class Life:
             boot=stamp.boot_id(), source=bus.source, started_wall_ns=now_ns, wall_ns=now_ns,
             config_sha256=config_sha256,
         )  # fmt: skip
-        self._publish()
+        self.publish()
         bus.clocks.publish = bus.publish
         if not bus.address.is_local:
             bus.clocks.start()  # so that our commands have an age where the robot is
         self._heart = self.clock.start(self._beat, "heartbeat")
+
+    @property
+    def started_wall_ns(self) -> int:
+        """When it was started, on the wall clock [ns]."""
+        return self._health.started_wall_ns
 
     @property
     def stopping(self) -> bool:
@@ -204,12 +209,12 @@ class Life:
 
     def _become(self, state: State) -> None:
         self._health.state = state
-        self._publish()
+        self.publish()
 
     def _beat(self) -> None:
         connections = self.bus.connections
         while not self.clock.wait(self._ended, HEARTBEAT_S):
-            self._publish()
+            self.publish()
             if (now := self.bus.connections) != connections and self._publish_again():
                 connections = now
             for outage in self.bus.outages.pop():
@@ -227,7 +232,8 @@ class Life:
             return False
         return True
 
-    def _publish(self) -> None:
+    def publish(self) -> None:
+        """Say at once how the server is doing, beside what its heartbeat says anyway."""
         self._health.wall_ns = self.clock.wall_ns()
         self._health.lost_writes = self.bus.lost_writes
         self._health.events = self._publisher.recent

@@ -76,6 +76,16 @@ class AssetsCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return f"{len(self.files)} files found"
 
 
+def existing(folder: Path) -> Path:
+    """Return a folder, or the next one above it that is there."""
+    return next(path for path in [folder.absolute(), *folder.absolute().parents] if path.exists())
+
+
+def free_gb(folder: Path) -> float:
+    """Return what is free where a folder is, or will be made [GB]."""
+    return shutil.disk_usage(existing(folder)).free / _BYTES_PER_GB
+
+
 class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """There is room for episodes.
 
@@ -101,12 +111,28 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def look(self, data: Path, need: DiskNeed) -> str:
         """Do so with what an episode is expected to need, where the runbook does not say."""
+        folder = existing(data)
+        empty = "empty the bin (station episodes prune --empty-bin), " if bin_folder(data).is_dir() else ""
+        found = self.judge(free_gb(data), str(folder), need, empty)
+        if not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise NotReady(f"{folder}: not a folder that can be written; record elsewhere with --data")
+        return found
+
+    def judge(self, free_gb: float, folder: str, need: DiskNeed, empty: str = "") -> str:
+        """Judge what is free, on whatever machine.
+
+        Args:
+            free_gb: That [GB].
+            folder: Where.
+            need: As of `look`.
+            empty: What would make room, before all else.
+
+        Raises:
+            NotReady: it is too little.
+        """
         if self.mb_per_minute is not None:
             need = DiskNeed(self.mb_per_minute, "")
         rate = f"{need.mb_per_minute:.3g} MB/min" + (f" ({need.why})" if need.why else "")
-        folder = next(p for p in [data.absolute(), *data.absolute().parents] if p.exists())
-        free_gb = shutil.disk_usage(folder).free / _BYTES_PER_GB
-        empty = "empty the bin (station episodes prune --empty-bin), " if bin_folder(data).is_dir() else ""
         if free_gb < self.min_free_gb:
             raise NotReady(
                 f"{folder}: {free_gb:.1f} GB free, {self.min_free_gb:g} needed; "
@@ -118,8 +144,6 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
                 f"{folder}: {free_gb:.1f} GB free are {minutes:.0f} min at {rate}, "
                 f"{self.min_minutes:g} needed; {empty}make room or record elsewhere with --data"
             )
-        if not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise NotReady(f"{folder}: not a folder that can be written; record elsewhere with --data")
         return f"{free_gb:.0f} GB free at {folder}, {minutes:.0f} min at {rate}"
 
 

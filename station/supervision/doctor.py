@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import ssl
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -25,9 +26,12 @@ from station.errors import BusError, StationError, UnknownName
 from station.life import stop_file
 from station.life.server import Health, read_health
 from station.life.stop_file import LatchedStop, StopFile
+from station.software import software
+from station.supervision import hosts
 from station.supervision.supervisor import log_folder
 
 _LOOK_S = 1.0
+_SOON_DAYS = 14
 _FAR_MS = 1.0  # a round trip within a machine takes 0.2 ms
 _SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
 _GATE_REMEDIES = {
@@ -85,6 +89,7 @@ def examine(bus: Bus) -> Iterator[Finding]:
     servers = read_health(bus)
     yield from _servers(servers, log_folder(bus.address))
     yield _estop(stop_file.latched(bus))
+    yield from _hosts([health for health in servers if health.is_alive])
     yield from _clocks(bus, [health for health in servers if health.is_alive])
     low_level = [health for health in servers if health.role == "low-level" and health.is_alive]
     for health in low_level:
@@ -101,6 +106,7 @@ def _server_settings(bus: Bus) -> Iterator[Finding]:
     version = fields.get("valkey_version") or fields.get("redis_version", "?")
     yield Finding("ok", "bus", f"{bus.address}, server {version}, up {fields.get('uptime_in_seconds', '?')} s")
     yield bus_access(bus)
+    yield from _certificate(bus)
     try:
         settings = {name: _setting(bus, name) for name in _SETTINGS}
     except BusError as error:
@@ -148,6 +154,33 @@ def _estop(latched: LatchedStop | None) -> Finding:
     if latched is None:
         return Finding("ok", "e-stop", "released")
     return Finding("broken", "e-stop", latched.found, latched.remedy)
+
+
+def _hosts(alive: list[Health]) -> Iterator[Finding]:
+    """Yield which machines a station may start servers on, and whether they have the same version as this one."""
+    ours = software().version
+    for health in alive:
+        if (facts := hosts.facts_of(health)) is None:
+            continue
+        name = hosts.host_of(health.name)
+        does = f"runs {', '.join(facts.servers)} for {facts.who}" if facts.who else "runs nothing"
+        found = f"version {facts.version or 'unknown'}, {does}, {facts.free_gb:.0f} GB free at {facts.data}"
+        is_same = facts.version == ours
+        yield Finding("ok" if is_same else "warning", f"host {name}", found, "" if is_same else
+                      f"this machine has version {ours or 'unknown'}: install the same on both")  # fmt: skip
+
+
+def _certificate(bus: Bus) -> Iterator[Finding]:
+    """Yield until when the certificate of a bus with TLS is valid."""
+    if not bus.address.tls:
+        return
+    with bus.address.open(_LOOK_S) as line:
+        said = line.getpeercert() if isinstance(line, ssl.SSLSocket) else None
+    until = str((said or {}).get("notAfter", ""))
+    days = (ssl.cert_time_to_seconds(until) - bus.clock.wall_ns() * 1e-9) / 86400 if until else 0.0
+    level: Literal["ok", "warning"] = "ok" if days > _SOON_DAYS else "warning"
+    yield Finding(level, "bus certificate", f"valid until {until or 'unknown'}, {days:.0f} days",
+                  "" if level == "ok" else "make a new one, and start the bus again with it")  # fmt: skip
 
 
 def _clocks(bus: Bus, alive: list[Health]) -> Iterator[Finding]:

@@ -26,7 +26,8 @@ IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _ANSWER = re.compile(r"[A-DF-Za-df-z0-9][A-Za-z0-9_-]*")
-_SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
+SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
+"""What servers and machines may be called."""
 _STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release-motors", "twin", "measure",
                "ask")  # fmt: skip
 
@@ -188,6 +189,7 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
         start: Its name on the bus; that of its kind, unless the step says with `server` which kind it is.
         kind: What it is.
         config: Its configuration.
+        host: The machine that it runs on, by the name under which that has joined the bus; "" for this one.
         ready_within_s: Longest time for loading, and for becoming active [s].
         if_it_dies: ``ask`` the person who attends and stay up meanwhile, where nobody attends as ``end``; ``end``
             takes the station down; ``restart`` starts it again at once, however often it dies after a while.
@@ -196,12 +198,14 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
     start: str
     kind: ServerKind
     config: msgspec.Struct
+    host: str = ""
     ready_within_s: float = 20.0
     if_it_dies: IfItDies = "ask"
 
     def __str__(self) -> str:
         kind = "" if self.start == self.kind.name else f"({self.kind.name}) "
-        return f"start {self.start} {kind}{_chosen(self.config)}".rstrip()
+        where = f"on {self.host} " if self.host else ""
+        return f"start {self.start} {where}{kind}{_chosen(self.config)}".rstrip()
 
 
 Step = CheckStep | ConfirmStep | MeasureStep | NoteStep | QuestionStep | StartStep
@@ -233,13 +237,13 @@ class Runbook(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(step for step in self.steps if isinstance(step, StartStep))
 
     def expect_found(self) -> None:
-        """Check that the files and libraries that its servers need are on this machine; nothing is loaded.
+        """Check that the files and libraries that its servers here need are on this machine; nothing is loaded.
 
         Raises:
             StationError: one is not; the message names step and server.
         """
         for number, step in enumerate(self.steps, 1):
-            if not isinstance(step, StartStep) or step.kind.expect is None:
+            if not isinstance(step, StartStep) or step.kind.expect is None or step.host:
                 continue
             try:
                 step.kind.expect(step.config)
@@ -294,12 +298,13 @@ def describe(path: Path) -> tuple[str, str]:
     return file.robot, file.description
 
 
-def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
+def load(path: Path, sets: Sequence[str] = (), hosts: Sequence[str] = ()) -> Runbook:
     """Read and validate a runbook.
 
     Args:
         path: The YAML file.
         sets: ``server.key=value`` options laid over the file.
+        hosts: ``server=host`` options likewise, ``server=`` for this machine.
 
     Raises:
         BadFile, ConfigError, UnknownName: naming the file, step and key.
@@ -311,7 +316,9 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
         if names.count(name) > 1:
             raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
     changes = config.overrides(sets, servers=names)
-    steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
+    places = _places(hosts, names)
+    placed = [raw | {"host": places[raw["start"]]} if raw.get("start") in places else raw for raw in file.steps]
+    steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(placed, 1))
     if not names:
         raise ConfigError(f"{path}: starts nothing; expected at least one step such as `- start: motion`")
     _expect_started_before_asked(steps, str(path))
@@ -324,6 +331,20 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
         stop_order=_stop_order(file, names, str(path)),
         text=path.read_text(encoding="utf-8"),
     )
+
+
+def _places(hosts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Return on which machine servers are to run, by name."""
+    found = {}
+    for text in hosts:
+        name, is_given, host = text.partition("=")
+        if not is_given or name not in names:
+            raise UsageError(
+                f"--on {text}{did_you_mean(name, names)}: expected SERVER=HOST, with a server that the runbook starts: "
+                f"{', '.join(names)}"
+            )
+        found[name] = host
+    return found
 
 
 def _low_level(steps: Iterable[Step]) -> Iterator[StartStep]:
@@ -351,14 +372,17 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
 
 
 def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
-    known = ("start", "server", "with", "ready_within", "if_it_dies")
+    known = ("start", "server", "host", "with", "ready_within", "if_it_dies")
     for key in raw:
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
     name = str(raw["start"])
     kind: ServerKind = registry.find("server", str(raw.get("server", name)))
-    if not _SERVER_NAME.fullmatch(name):
+    if not SERVER_NAME.fullmatch(name):
         raise ConfigError(f"{where}: start: expected a name of letters, digits, - and _, got {name!r}")
+    host = str(raw.get("host") or "")
+    if host and not SERVER_NAME.fullmatch(host):
+        raise ConfigError(f"{where} ({name}): host: expected a name of letters, digits, - and _, got {host!r}")
     given = raw.get("with") or {}
     if not isinstance(given, dict):
         raise ConfigError(f"{where} ({name}): with: expected a mapping of settings, got {given!r}")
@@ -367,6 +391,7 @@ def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], whe
         start=name,
         kind=kind,
         config=config.build(kind.config, values, where=f"{where} ({name})"),
+        host=host,
         ready_within_s=config.seconds(raw.get("ready_within", 20), where=f"{where}: ready_within"),
         if_it_dies=_if_it_dies(raw, kind, where),
     )

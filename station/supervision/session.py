@@ -22,8 +22,9 @@ from station.life.event_feed import EventFeed
 from station.life.events import Event
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
+from station.software import software
 from station.supervision.checks import DiskCheck
-from station.supervision.disk_need import DiskNeed, disk_need
+from station.supervision.disk_need import disk_need
 from station.supervision.exit_policy import ExitPolicy
 from station.supervision.figures import Figure, table
 from station.supervision.runbook import (
@@ -117,7 +118,8 @@ class Session:
             Refused: a server of this runbook already runs on the bus, or an emergency stop is latched.
         """
         self._refuse_a_second_station()
-        if (line := left_open.offer(self._data)) is not None:
+        self._look_at_hosts()
+        if not self.recorder_host and (line := left_open.offer(self._data)) is not None:
             self._ui.report(line, "warning")
         with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
             if (latched := memory.latched()) is not None:
@@ -142,6 +144,26 @@ class Session:
                 raise Refused(
                     f"server {health.name!r} already runs on {self._bus.address} (pid {health.pid} on {health.host}); "
                     "stop that station first, or use another bus with --bus"
+                )
+
+    @property
+    def recorder_host(self) -> str:
+        """The machine that its recorder runs on; "" for this one, and for none."""
+        return next((step.host for step in self._runbook.servers if step.start == _RECORDER), "")
+
+    def _look_at_hosts(self) -> None:
+        """Find the other machines that it needs.
+
+        Raises:
+            NotReady, Refused: one has not joined, or runs servers of another station.
+        """
+        for host in dict.fromkeys(step.host for step in self._runbook.servers if step.host):
+            version = self._supervisor.hosts.expect(host).version
+            if version != software().version:
+                self._ui.report(
+                    f"host {host} has version {version or 'unknown'} of the station, this machine "
+                    f"{software().version or 'unknown'}: install the same on both",
+                    "warning",
                 )
 
     def _start_all(self, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
@@ -200,7 +222,7 @@ class Session:
             return self._start(step, stop)
         if isinstance(step, CheckStep):
             found = (
-                step.what.look(self._data, self._disk_need())
+                self._look_at_disk(step.what)
                 if isinstance(step.what, DiskCheck)
                 else step.what.run(self._bus, self._data, stop)
             )
@@ -213,9 +235,14 @@ class Session:
             return self._measure(step, feed, memory, stop)
         return self._record_answer(step, "shown", who="station")
 
-    def _disk_need(self) -> DiskNeed:
+    def _look_at_disk(self, check: DiskCheck) -> str:
+        """Look whether there is room where the recorder runs."""
         configs: dict[str, object] = {server.start: server.config for server in self._runbook.servers}
-        return disk_need(configs, self._data, self._recording.task if self._recording else None)
+        need = disk_need(configs, self._data, self._recording.task if self._recording else None)
+        if not self.recorder_host:
+            return check.look(self._data, need)
+        there = self._supervisor.hosts.expect(self.recorder_host)
+        return check.judge(there.free_gb, f"host {self.recorder_host}, {there.data}", need)
 
     def _start(self, step: StartStep, stop: threading.Event) -> str:
         if step.start not in self._supervisor.children:
@@ -250,7 +277,7 @@ class Session:
 
     def _spawn(self, step: StartStep) -> None:
         restarts = Restarts() if step.if_it_dies == "restart" else None
-        self._supervisor.spawn(step.start, step.config, server=step.kind.name, restarts=restarts)
+        self._supervisor.spawn(step.start, step.config, server=step.kind.name, host=step.host, restarts=restarts)
 
     def _confirm(self, step: ConfirmStep, memory: StopMemory, stop: threading.Event) -> str:
         if self._is_unattended:
@@ -335,7 +362,8 @@ class Session:
                 self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
         self.episode = remote.ask(self._bus, "start", runbook=self._told(), **msgspec.to_builtins(recording))
         self._is_recording = True
-        self._ui.report(f"recording {self.episode.path}")
+        where = f" on host {self.recorder_host}" if self.recorder_host else ""
+        self._ui.report(f"recording {self.episode.path}{where}")
 
     def _told(self) -> dict[str, Any]:
         """Return what a manifest says of the runbook."""

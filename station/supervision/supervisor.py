@@ -9,8 +9,6 @@ the supervisor itself is killed, every pipe breaks and the children finish by th
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
 import subprocess
 import threading
@@ -21,22 +19,21 @@ from typing import Any
 import msgspec
 
 from station import config as configuration
-from station import python_child
 from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.clock import Thread
 from station.errors import BusError, NotReady
-from station.life import supervisor_pipe
 from station.life.event_publisher import EventPublisher
 from station.life.events import Severity
-from station.life.restarts import RESTARTS_VARIABLE, Restarts
+from station.life.restarts import Restarts
 from station.life.server import Health, State, decode_health
+from station.supervision.hosts import Hosts
+from station.supervision.process import LocalProcess, Process
 
 NAME = "supervisor"
 
-_STACKS_S = 0.2  # writing them takes a millisecond, once the child is given a processor
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
 _LOOK_S = 0.01
@@ -45,14 +42,14 @@ _PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
 
 
 class Child(msgspec.Struct):
-    """One server process and our end of its pipe."""
+    """One server and its process; `host` is the machine that it runs on, "" for this one."""
 
     name: str
-    process: subprocess.Popen[bytes]
-    go: int
-    log: Path
+    kind: str
+    config: msgspec.Struct
+    host: str
+    process: Process
     started_s: float
-    arguments: list[str]
     restarts: Restarts | None = None
     is_wanted: bool = True
     was_activated: bool = False
@@ -71,43 +68,52 @@ class Supervisor:
         self._bus, self.clock = bus, bus.clock
         self._folder = folder
         self._environment = dict(environment or {})
+        self.hosts = Hosts(bus)
         self.children: dict[str, Child] = {}
         self.publisher = EventPublisher(bus, NAME)
         self._lock = self.clock.lock()  # around what is done to a child
         self._nurse: Thread | None = None
         self._closed = threading.Event()
 
-    def spawn(self, name: str, config: msgspec.Struct, *, server: str = "", restarts: Restarts | None = None) -> None:
+    def spawn(
+        self,
+        name: str,
+        config: msgspec.Struct,
+        *,
+        server: str = "",
+        host: str = "",
+        restarts: Restarts | None = None,
+    ) -> None:
         """Start the process of a server; it loads and then waits to be activated.
 
-        With `restarts`, a process that dies after it was active is started again, as often as those allow.
+        Args:
+            name: Its name on the bus.
+            config: Its configuration.
+            server: Its kind, by default that of its name.
+            host: The machine that it runs on, one that has joined (`station.supervision.agent`); "" for this one.
+            restarts: A process that dies after it was active is started again, as often as these allow.
         """
-        self._folder.mkdir(parents=True, exist_ok=True)
-        log = self._folder / f"{name}.log"
-        log.unlink(missing_ok=True)
-        arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
-        process, go = self._launch(arguments, log, 0)
+        kind = server or name
+        process = self._launch(name, kind, config, host, 0)
         with self._lock:
-            self.children[name] = Child(name, process, go, log, self.clock.monotonic_s(), arguments, restarts)
+            self.children[name] = Child(name, kind, config, host, process, self.clock.monotonic_s(), restarts)
         if restarts is not None and self._nurse is None:
             self._nurse = self.clock.start(self._restart_dead, "supervisor")
 
-    def _launch(self, arguments: list[str], log: Path, restarts: int) -> tuple[subprocess.Popen[bytes], int]:
-        reading, writing = os.pipe()
-        os.set_inheritable(reading, True)
-        with log.open("ab") as output:
-            process = subprocess.Popen(
-                python_child.command("-m", "station", *arguments),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                pass_fds=(reading,),
-                env=self._child_environment(reading) | {RESTARTS_VARIABLE: str(restarts)},
-                start_new_session=True,  # Ctrl-C in the terminal is ours to hear; the children stop in our order
-            )
-        os.close(reading)
-        os.set_blocking(writing, False)  # a frozen child, which reads nothing, must not hold us
-        return process, writing
+    def _launch(self, name: str, kind: str, config: msgspec.Struct, host: str, restarts: int) -> Process:
+        """Start a process; the log of a server's first one begins anew."""
+        plain = configuration.to_plain(config)
+        if host:
+            return self.hosts.launch(host, name, kind, plain, restarts)
+        log = log_file(self._folder, name, is_new=restarts == 0)
+        arguments = ["serve", kind, "--name", name, "--config-json", codec.json_object(plain).decode()]
+        return LocalProcess(arguments, log, self._bus.address, self._environment, self.clock, restarts)
+
+    def _launch_again(self, child: Child, restarts: int) -> None:
+        child.process.close()
+        child.process = self._launch(child.name, child.kind, child.config, child.host, restarts)
+        child.started_s = self.clock.monotonic_s()
+        child.process.go()
 
     def wait_for(self, name: str, state: State, timeout_s: float, *, stop: threading.Event | None = None) -> Health:
         """Wait until a child says that it is in a state, or beyond.
@@ -130,10 +136,10 @@ class Supervisor:
                 raise NotReady(f"asked to stop before server {name!r} was {state}")
             if self.clock.monotonic_s() > deadline:
                 seen, words = health.state if health else "unconfigured", self.last_words(name)
-                where = " where it stands" if self._have_stacks_written(child) else ""
+                where = " where it stands" if child.process.write_stacks() else ""
                 raise NotReady(
                     f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {words}; give it longer with "
-                    f"ready_within, or see in its log {child.log}{where}"
+                    f"ready_within, or see in its log {child.process.log}{where}"
                 )
             self.clock.sleep(_LOOK_S)
 
@@ -143,8 +149,7 @@ class Supervisor:
         child.was_activated = True
         if child.restarts is not None:
             child.restarts.is_armed = True
-        with contextlib.suppress(BrokenPipeError):  # it has just died; the next poll will say so
-            os.write(child.go, b"go\n")
+        child.process.go()
 
     def health(self, name: str) -> Health | None:
         """Return what a child last said of itself; None before its first word, and while the bus is away."""
@@ -183,11 +188,7 @@ class Supervisor:
             self._publish_exit(child, restarts, code)
             child.started_s = now_s
         if restarts.allow(code) and now_s - child.started_s >= restarts.delay_s:
-            os.close(child.go)
-            child.process, child.go = self._launch(child.arguments, child.log, restarts.count)
-            child.started_s = now_s
-            with contextlib.suppress(BrokenPipeError):
-                os.write(child.go, b"go\n")
+            self._launch_again(child, restarts.count)
 
     def _publish_exit(self, child: Child, restarts: Restarts, code: int) -> None:
         """Publish what happened to a child, and what becomes of it."""
@@ -215,18 +216,13 @@ class Supervisor:
             if child.restarts is not None:
                 child.restarts.pardon()
                 count = max(1, child.restarts.count)
-            os.close(child.go)
-            child.process, child.go = self._launch(child.arguments, child.log, count)
-            child.started_s = self.clock.monotonic_s()
-            with contextlib.suppress(BrokenPipeError):
-                os.write(child.go, b"go\n")
+            self._launch_again(child, count)
 
     def estop(self) -> None:
-        """Ask every child that drives a robot for the emergency stop, whatever the bus does."""
+        """Ask every child that drives a robot for the emergency stop, those of this machine whatever the bus does."""
         with self._lock:
             for child in self.children.values():
-                with contextlib.suppress(BrokenPipeError, BlockingIOError):  # dead, or frozen and told often enough
-                    os.write(child.go, b"estop\n")
+                child.process.estop()
 
     def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
         """Ask a child to finish, wait, kill it if it does not; return its exit code.
@@ -241,12 +237,12 @@ class Supervisor:
         try:
             code = child.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            self._have_stacks_written(child)
+            child.process.write_stacks()
             child.process.kill()
             code = child.process.wait()
         with self._lock:
             del self.children[name]
-            os.close(child.go)
+            child.process.close()
         return code
 
     def stop_all(self) -> None:
@@ -264,31 +260,12 @@ class Supervisor:
             for child in self.children.values():
                 child.process.kill()
             raise
+        finally:
+            self.hosts.close()
 
     def last_words(self, name: str) -> str:
         """Return the last line that a child printed: its reason, when it ended by itself."""
-        log = self.children[name].log
-        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-        return lines[-1].removeprefix("station: ") if lines else f"it printed nothing to {log}"
-
-    def _have_stacks_written(self, child: Child) -> bool:
-        """Have a child that does not do what it is asked for write to its log where each of its threads stands; return
-        False for one that is too young to do so."""
-        if not python_child.writes_stacks(child.process.pid):
-            return False
-        child.process.send_signal(python_child.STACKS)
-        self.clock.sleep(_STACKS_S)
-        return True
-
-    def _child_environment(self, descriptor: int) -> dict[str, str]:
-        return {
-            **os.environ,
-            **self._environment,
-            # In the environment, not among the arguments: a password must not show in the process list.
-            addresses.ENVIRONMENT_VARIABLE: self._bus.address.url,
-            supervisor_pipe.ENVIRONMENT_VARIABLE: str(descriptor),
-            "PYTHONUNBUFFERED": "1",
-        }
+        return self.children[name].process.last_words()
 
 
 def how_it_ended(code: int) -> str:
@@ -301,8 +278,13 @@ def how_it_ended(code: int) -> str:
         return f"was killed by signal {-code}"
 
 
-def _json(config: msgspec.Struct) -> str:
-    return codec.json_object(configuration.to_plain(config)).decode()
+def log_file(folder: Path, name: str, *, is_new: bool) -> Path:
+    """Return the file for the log of a server, its folder made; a new one begins empty."""
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / f"{name}.log"
+    if is_new:
+        log.unlink(missing_ok=True)
+    return log
 
 
 def log_folder(address: BusAddress) -> Path:

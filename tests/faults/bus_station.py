@@ -111,7 +111,7 @@ class RobotStation(RecordedStation):
 
     def log(self, name: str) -> str:
         """Return what a server has printed."""
-        return self.supervisor.children[name].log.read_text(errors="replace")
+        return Path(self.supervisor.children[name].process.log).read_text(errors="replace")
 
     def told(self, folder: Path, event: str) -> list[str]:
         """Return the servers whose event of a name is in the manifest on the disk, sorted."""

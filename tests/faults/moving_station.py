@@ -156,7 +156,7 @@ class MovingStation:
 
     def log(self, name: str) -> str:
         """Return what a server has printed."""
-        return self._of(name).children[name].log.read_text(errors="replace")
+        return Path(self._of(name).children[name].process.log).read_text(errors="replace")
 
     def ask(self, action: Any, **fields: Any) -> RecordAnswer:
         """Ask the recorder for something."""

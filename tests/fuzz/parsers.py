@@ -90,7 +90,7 @@ from station.operator.sample import Body, OperatorSample, Pose, Status
 from station.operator.script_time import now_s
 from station.operator.station_monitor import SilenceMonitor, StationMonitor
 from station.protobuf import foxglove
-from station.supervision import doctor, measure
+from station.supervision import agent, doctor, hosts, measure
 from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.clouds import log_cloud
@@ -191,6 +191,14 @@ def health(name: str = "g1", role: str = "low-level") -> bytes:
 
 
 # ---- commands and requests ----
+
+_WANTED_G1 = {"kind": "g1", "config": {"policy": "tracker"}, "agent": 5, "process": 1, "restarts": 0, "stage": "run"}
+WANTED = {"station": "a", "who": "ada", "servers": {"g1": _WANTED_G1}}
+
+
+def _host_facts(data: bytes) -> object:
+    said = decode_health(data)
+    return None if said is None else hosts.facts_of(said)
 
 
 def _command(command_format: Any, data: bytes) -> None:
@@ -612,6 +620,12 @@ def _stops_and_requests() -> list[Parser]:
                (_LIFE + "request", "servers.robot_twin"), (Refused,)),
         Parser("twin answer", partial(twin_request._answer, asked="1"), (health(), dumped({"detail": {"changed": {}}})),
                (_LIFE + "twin_request",)),
+        Parser("servers wanted on a machine", partial(parse, kind=hosts.Wanted, what="one"), (dumped(WANTED),),
+               (_LIFE + "request", "station.supervision.agent"), (Refused,)),
+        Parser("servers of a machine", _host_facts, (dumped({"name": "host-a", "detail": {"version": "1", "servers": {
+               "g1": {"process": 1, "pid": 2, "code": -9}}, "free_gb": 1.5}}),), ("station.supervision.hosts",)),
+        Parser("log of another machine", agent.decode_log,
+               (b'{"process": 1, "first": 3, "lines": ["a", "b"], "wall_ns": 5}',), ("station.supervision.agent",)),
         Parser("motion switcher", lambda data: words.name_of(data.decode(errors="replace")),
                (b'{"form": "0", "name": "ai"}',), ("adapters.robots.g1.dds.words",)),
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
@@ -726,6 +740,14 @@ def _natnet() -> list[Parser]:
     return parsers
 
 
+@cache
+def _recording() -> rr.RecordingStream:
+    """One for all values: each has two dozen threads, which nothing ends."""
+    recording = rr.RecordingStream("fuzz")
+    recording.save(os.devnull)
+    return recording
+
+
 def _lidars() -> list[Parser]:
     """What is made of clouds: of the bus, and of messages that anybody in a network may send."""
     value = cloud(1, 12)
@@ -739,7 +761,7 @@ def _lidars() -> list[Parser]:
         point_cloud.records(found)
 
     def drawn(data: bytes) -> None:
-        log_cloud(rr.RecordingStream("fuzz"), keys.lidar_cloud("top"), data, ("torso",))
+        log_cloud(_recording(), keys.lidar_cloud("top"), data, ("torso",))
 
     def came(data: bytes) -> None:
         seen(point_cloud.encoded(ros_messages.parse_cloud(data)))

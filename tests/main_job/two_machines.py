@@ -1,4 +1,5 @@
-"""A robot on one machine, who commands it on another, and a bad line between them; and a judge of what was recorded."""
+"""A robot on one machine, who commands it on another, a recorder on either or on a third, and a bad line between them;
+and a judge of what was recorded."""
 
 from __future__ import annotations
 
@@ -22,11 +23,13 @@ from station.episode.storage.folder import signals_file
 from station.life.server import Health
 from tests.cli.running import Home, Running, new_home
 from tests.network_link import machine
-from tests.network_link.far_bus import PORT, far_bus
-from tests.network_link.link import Link
+from tests.network_link.far_bus import PORT, FarBus, far_bus
+from tests.network_link.link import End, Link
 
-AHEAD_S, BOOT = 7200, "0badcafe"
-"""What the operator's monotonic clock is ahead of the robot's, and the name of its boot."""
+BOOT, STORE_BOOT = "0badcafe", "0badf00d"
+"""Names of the boots of the operator's machine, and of that which records."""
+AHEAD_S = {BOOT: 7200, STORE_BOOT: 86_400}
+"""What their monotonic clocks are ahead of the robot's, by boot."""
 OWN_ERROR_S = 0.001
 """Of the clock of the robot's machine, on which the bus runs."""
 LIMIT_S = 0.25
@@ -35,13 +38,21 @@ WRITTEN, OBSERVED = TIMING_STAGES.index("command_written"), TIMING_STAGES.index(
 
 
 class Site(NamedTuple):
-    """A bus and a robot on one machine, a motion on the other, and a recorder on either."""
+    """A bus and a robot on one machine, a motion on another, and a recorder on either or a third.
+
+    Attributes:
+        link: Between them.
+        robot, operator, store: The machines; the last records.
+        bus: As the robot's machine reaches it.
+        runs: The motion, or the station that runs it.
+    """
 
     link: Link
     robot: Home
     operator: Home
+    store: Home
     bus: BusAddress
-    motion: Running
+    runs: Running
 
     def server(self, name: str) -> Health | None:
         """What a server says of itself."""
@@ -69,10 +80,8 @@ class Site(NamedTuple):
 def two_machines(*, recorder_is_far: bool) -> Iterator[Site]:
     """Have them, with a line of 5 ± 10 ms that loses 1 %."""
     with far_bus(seed=5) as far, ExitStack() as stack:
-        operator = stack.enter_context(new_home((*far.there.end.prefix, *machine.prefix(AHEAD_S, BOOT))))
-        operator.environment |= {
-            "STATION_BUS": f"redis://{far.there.host}:{PORT}/0", "STATION_BUS_PASSWORD_FILE": str(far.secret),
-        }  # fmt: skip
+        operator = stack.enter_context(new_home(_other_machine(far.there.end, BOOT)))
+        operator.environment |= _reaches(far)
 
         def serve(home: Home, server: str, *sets: str) -> Running:
             words = [word for each in sets for word in ("--set", each)]
@@ -84,7 +93,37 @@ def two_machines(*, recorder_is_far: bool) -> Iterator[Site]:
         serve(operator if recorder_is_far else far.home, "recorder")
         far.link.change(delay_s=0.005, jitter_s=0.01, loss=0.01)
         motion = serve(operator, "motion", "motion=builtin:wave", "loop=true")
-        yield Site(far.link, far.home, operator, far.here, motion)
+        yield Site(far.link, far.home, operator, operator if recorder_is_far else far.home, far.here, motion)
+
+
+@contextmanager
+def three_machines(task: str) -> Iterator[Site]:
+    """Have them, with such a line, and one runbook that the operator runs, which records a task of some name: robot and
+    recorder have machines of their own."""
+    with far_bus(seed=5, ends=3) as far, ExitStack() as stack:
+        ends = zip(far.link.ends[1:], (BOOT, STORE_BOOT), strict=True)
+        operator, store = (stack.enter_context(new_home(_other_machine(end, boot))) for end, boot in ends)
+        for home in (operator, store):
+            home.environment |= _reaches(far)
+        for name, home in (("robot", far.home), ("store", store)):
+            agent = stack.enter_context(home.running("host", "join", "--name", name))
+            agent.wait_for(f"host-{name} is active")
+        far.link.change(delay_s=0.005, jitter_s=0.01, loss=0.01)
+        places = ("--on", "g1=robot", "--on", "recorder=store")
+        sets = ("--set", "motion.motion=builtin:wave", "--set", "motion.loop=true")
+        station = stack.enter_context(
+            operator.running("up", "g1-sim-motion", *places, *sets, "--yes", "--record", "--task", task)
+        )
+        station.wait_for("✓ start motion")
+        yield Site(far.link, far.home, operator, store, far.here, station)
+
+
+def _other_machine(end: End, boot: str) -> tuple[str, ...]:
+    return (*end.prefix, *machine.prefix(AHEAD_S[boot], boot))
+
+
+def _reaches(far: FarBus) -> dict[str, str]:
+    return {"STATION_BUS": f"redis://{far.there.host}:{PORT}/0", "STATION_BUS_PASSWORD_FILE": str(far.secret)}
 
 
 class Judged(NamedTuple):
@@ -108,7 +147,7 @@ def judge(folder: Path) -> Judged:
     key = twist_keys.action_body()
     reader = EpisodeReader(signals_file(folder))
     marks = [stamp.decode(message.stamp or b"") for message in reader.messages([key], stamps=True)]
-    truly_s = {mark.seq: mark.mono_ns * 1e-9 - AHEAD_S for mark in marks if mark is not None}
+    truly_s = {mark.seq: mark.mono_ns * 1e-9 - AHEAD_S[BOOT] for mark in marks if mark is not None}
     steps = open_episode(folder).steps()
     has_timing = np.isfinite(steps.timing["tick"])  # not of a step that a cut, or the end, has parted
     ticks, numbers = (steps.timing[name][has_timing].astype(int) for name in ("tick", "command_seq"))
@@ -144,19 +183,21 @@ def judge(folder: Path) -> Judged:
 def _expect_written_before_arrived(reader: EpisodeReader, bound_s: float) -> None:
     """Expect that what the file says of when another machine wrote is on the episode's clock, to within a bound [s]."""
     assert reader.anchor is not None
-    ahead_ns = AHEAD_S * 1_000_000_000
+    anchor_ns = reader.anchor.mono_ns - _ahead_ns(reader.anchor.boot)  # on the robot's clock
     judged = 0
     for message in reader.messages(stamps=True):
         mark = stamp.decode(message.stamp or b"")
         if mark is None or stamp.boot_of(mark.source) == reader.anchor.boot or message.publish_ns == message.log_ns:
             continue
-        is_far = stamp.boot_of(mark.source) == BOOT
-        mono_ns = mark.mono_ns - ahead_ns if is_far else mark.mono_ns  # on the robot's clock
-        anchor_ns = reader.anchor.mono_ns - (0 if is_far else ahead_ns)  # of the other machine, likewise
+        mono_ns = mark.mono_ns - _ahead_ns(stamp.boot_of(mark.source))
         off_s = (message.publish_ns - reader.anchor.wall_ns - (mono_ns - anchor_ns)) * 1e-9
         assert abs(off_s) <= bound_s + OWN_ERROR_S
         judged += 1
     assert judged > 100
+
+
+def _ahead_ns(boot: str) -> int:
+    return AHEAD_S.get(boot, 0) * 1_000_000_000
 
 
 def _timing(reader: EpisodeReader) -> Iterator[NDArray[np.float64]]:

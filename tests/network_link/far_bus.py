@@ -1,4 +1,4 @@
-"""A bus on the computer at one end of a cable, as a process at the other end reaches it, and as one beside it does."""
+"""A bus on the computer at one end of a cable, as a process at another end reaches it, and as one beside it does."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from tests.cli.running import Home, new_home
 from tests.network_link.link import End, Link
 from tests.waiting import bus_answers, wait_until
 
-ADDRESSES = ("192.168.7.1", "192.168.7.2")
+ADDRESSES = ("192.168.7.1", "192.168.7.2", "192.168.7.3")
+"""The first is where the bus is."""
 PORT = 6379
 
 
@@ -45,7 +46,7 @@ class FarBus(NamedTuple):
         link: The cable.
         home: Where commands run beside the bus.
         here: Its address beside it.
-        there: Its address at the other end.
+        there: Its address at the second end.
         secret: File with its password.
     """
 
@@ -66,10 +67,10 @@ def opened_bus(home: Home) -> BusAddress:
 
 
 @contextmanager
-def far_bus(seed: int = 0) -> Iterator[FarBus]:
+def far_bus(seed: int = 0, ends: int = 2) -> Iterator[FarBus]:
     """Lay the cable, and start the bus at its first end."""
     with (
-        Link(ADDRESSES, seed=seed) as link,
+        Link(ADDRESSES[:ends], seed=seed) as link,
         new_home(link.ends[0].prefix) as home,
         home.running("bus", "start", "--bind", ADDRESSES[0]),
     ):

@@ -1,8 +1,8 @@
-"""The process between two network namespaces: it has a TAP device in each, and carries frames from one to the other.
+"""The process between network namespaces: it has a TAP device in each, and carries frames from one to all others.
 
 Run as a file, with the standard library alone: ``forwarder.py CONTROL SETTINGS``, a socket's number and JSON. It makes
-both namespaces and says where they are; then it answers requests, one JSON object each, until the socket is closed.
-When it ends, so do both namespaces once nobody is in them.
+the namespaces and says where they are; then it answers requests, one JSON object each, until the socket is closed.
+When it ends, so do the namespaces once nobody is in them.
 
 A frame of a loss is drawn when it comes; its delay too, from a normal distribution that ends at zero. No frame
 overtakes another of its direction: behind a late one all are late, as on a radio that sends again.
@@ -69,7 +69,7 @@ class Forwarder:
     """The cable.
 
     Args:
-        directions: Both ends.
+        directions: All ends.
         port: UDP port that is watched.
     """
 
@@ -116,9 +116,11 @@ class Forwarder:
             direction = self._directions[number]
             if frame[12:14] == b"\x08\x00" and frame[23] == socket.IPPROTO_UDP and self._is_watched(frame):
                 direction.last_ns = time.monotonic_ns()
-            with contextlib.suppress(BlockingIOError):  # nobody takes it there: lost, as anywhere
-                os.write(self._directions[1 - number].tap, frame)
-                direction.delivered += 1
+            for other in self._directions:
+                with contextlib.suppress(BlockingIOError):  # nobody takes it there: lost, as anywhere
+                    if other is not direction:
+                        os.write(other.tap, frame)
+                        direction.delivered += 1
 
     def _is_watched(self, frame: bytes) -> bool:
         begin = 14 + 4 * (frame[14] & 0x0F)

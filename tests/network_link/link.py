@@ -1,4 +1,4 @@
-"""A cable between two computers, both on this machine: delay, jitter, loss, and a hand that pulls it.
+"""A cable between computers that are all on this machine: delay, jitter, loss, and a hand that pulls it.
 
 ::
 
@@ -10,9 +10,9 @@
         link.plug()
 
 Each end is a network namespace with loopback and one Ethernet device, so that ARP, multicast and TCP are the kernel's
-own; a process of ours carries frames between the two (`tests.network_link.forwarder`). Both ends share CLOCK_MONOTONIC,
-so one-way times are exact, and the file system: a unix socket with a path is heard from either end without the cable.
-Needs root; nothing is left when the test is killed.
+own; a process of ours carries frames from each to all others (`tests.network_link.forwarder`), as a hub does where
+there are more than two. All ends share CLOCK_MONOTONIC, so one-way times are exact, and the file system: a unix socket
+with a path is heard from any end without the cable. Needs root; nothing is left when the test is killed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Counts(NamedTuple):
 
     Attributes:
         came: That were sent.
-        delivered: That reached the other end.
+        delivered: That reached another end, once for each.
         lost: By chance.
         cut: Because the cable was not in, those that were on the way when it was pulled too.
         last_ns: When the newest datagram for the watched port was delivered [ns, monotonic]; 0 for never.
@@ -59,7 +59,7 @@ class Counts(NamedTuple):
 
 
 class End:
-    """A computer at one end.
+    """A computer at an end.
 
     Args:
         number: Place in `Link.ends`.
@@ -94,8 +94,8 @@ class Link:
     """A context manager.
 
     Args:
-        addresses: Of both ends, in one network of 24 bits.
-        interface: Name of the Ethernet device of either end.
+        addresses: Of the ends, in one network of 24 bits.
+        interface: Name of the Ethernet device of each end.
         port: UDP port that is watched, see `Counts.last_ns`; 0 for none.
         seed: Of losses and delays.
 
@@ -103,9 +103,9 @@ class Link:
         LinkFailed: on entering, where this user may not, or this kernel cannot.
     """
 
-    def __init__(self, addresses: tuple[str, str], *, interface: str = INTERFACE, port: int = 0, seed: int = 0) -> None:
+    def __init__(self, addresses: Sequence[str], *, interface: str = INTERFACE, port: int = 0, seed: int = 0) -> None:
         self._addresses = addresses
-        self._settings = {"addresses": addresses, "bits": 24, "interface": interface, "port": port, "seed": seed}
+        self._settings = {"addresses": list(addresses), "bits": 24, "interface": interface, "port": port, "seed": seed}
         self._carrier_at: list[int] = []
 
     def __enter__(self) -> Self:
@@ -123,8 +123,7 @@ class Link:
             self.close()
             raise LinkFailed(said["failed"])
         found = zip(self._addresses, said["namespaces"], strict=True)
-        first, second = (End(number, address, path) for number, (address, path) in enumerate(found))
-        self.ends = (first, second)
+        self.ends = tuple(End(number, address, path) for number, (address, path) in enumerate(found))
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -147,10 +146,10 @@ class Link:
         Args:
             delay_s, jitter_s: Mean and standard deviation of the one-way delay, before frames wait for earlier ones.
             loss: Share of frames that is lost, 0 to 1.
-            out_of: The only end whose frames are meant; None for both.
+            out_of: The only end whose frames are meant; None for all.
         """
         way = {"delay_s": delay_s, "jitter_s": jitter_s, "loss": loss}
-        numbers = (0, 1) if out_of is None else (out_of.number,)
+        numbers = range(len(self.ends)) if out_of is None else (out_of.number,)
         self._ask({"ways": {str(number): way for number in numbers}})
 
     def pull(self, *at: End) -> int:

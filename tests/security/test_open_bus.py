@@ -226,6 +226,15 @@ def test_a_bus_whose_settings_may_not_be_read_is_unknown_unless_it_asks_for_a_pa
         assert bus_access(bus).level == "warning"
 
 
+def test_an_agent_joins_no_bus_that_lets_everybody_in(unprotected: BusAddress) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "station", "host", "join", "--name", "a", "--bus", unprotected.url],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "and so could start servers here; start it with `station bus start`" in done.stderr
+
+
 def test_acl_command_prints_hashes_and_leaves_the_passwords_in_a_closed_file(tmp_path: Path) -> None:
     file = tmp_path / "passwords"
     done = _acl("--passwords", str(file))

@@ -169,8 +169,7 @@ class OperatedStation:
     def wait_for_end(self) -> int:
         """Wait until the teleoperation server has ended by itself; return its exit code."""
         process = self.supervisor.children["teleop"].process
-        wait_until(lambda: process.poll() is not None, TIMEOUT_S)
-        return int(process.returncode)
+        return process.wait(TIMEOUT_S)
 
     def commands(self) -> list[tuple[int, Floats]]:
         """Return all commands with their places in the log."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,7 @@ def test_a_stop_from_outside_ends_the_commands_in_an_event(tmp_path: Path) -> No
     with OperatedStation(tmp_path, driver="walk") as station:
         station.engage()
         before = len(station.log.states())
-        station.supervisor.children["teleop"].process.send_signal(signal.SIGTERM)
+        station.supervisor.children["teleop"].process.terminate()
         assert station.wait_for_end() == 0
         farewell = station.wait_for("teleop-commands-end")
         assert (farewell.severity, farewell.detail["reason"]) == ("info", "the server was asked to stop")

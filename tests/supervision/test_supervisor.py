@@ -86,7 +86,7 @@ def test_a_child_that_does_not_do_what_it_is_asked_for_writes_to_its_log_where_i
     supervisor.wait_for("motion", "inactive", DEADLINE_S)
     with pytest.raises(NotReady, match=r"or see in its log /.*motion\.log where it stands"):
         supervisor.wait_for("motion", "active", 0.0)
-    log = supervisor.children["motion"].log
+    log = Path(supervisor.children["motion"].process.log)
     wait_until(lambda: ", line " in log.read_text() and "in ready" in log.read_text())
     assert supervisor.stop("motion") == 0, "it does what it did before"
 
