@@ -14,7 +14,7 @@ from typing import Any
 
 import hiredis
 
-from station.bus.address import BusAddress
+from station.bus.address import CERTIFICATE_VARIABLE, KEY_VARIABLE, BusAddress
 from station.errors import BusError
 
 _READ_SIZE = 1 << 16
@@ -55,6 +55,14 @@ class Connection:
         self._socket = self._open()
         try:
             self._greet()
+        except ConnectionLost as error:
+            self.close()
+            if not address.tls or address.certificate_file is not None:
+                raise
+            raise ConnectionLost(  # TLS 1.3 is refused after it seemed to be there, and not always with a reason
+                f"{error}; it may ask for a certificate of ours: name that in ${CERTIFICATE_VARIABLE}, its key in "
+                f"${KEY_VARIABLE}"
+            ) from error
         except BaseException:
             self.close()
             raise

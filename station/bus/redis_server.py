@@ -258,6 +258,11 @@ def _dead(status: int, options: ServerOptions, log_path: Path) -> BusError:
             f"TCP port {options.tcp_port} of this machine is in use (another Redis?); stop that one, "
             f"choose another port, or use it with --bus redis://localhost:{options.tcp_port}"
         )
+    if options.certificate is not None and "TLS support" in log_path.read_text(errors="replace"):
+        return BusError(
+            f"the bus server {find_binary()} has no TLS; put one that has on PATH (`apt install redis-server`), or "
+            "leave out --certificate"
+        )
     return BusError(f"bus server {_how(status)} while starting; {_last_words(log_path)}")
 
 

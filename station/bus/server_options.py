@@ -16,6 +16,20 @@ LARGEST_VALUE = 64 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What a server shows who it is with, and whom it lets in by theirs.
+
+    Attributes:
+        file, key_file: Its certificate and the key of that, as PEM.
+        ca_file: Authority that has to have signed the certificate of each client; None lets in clients without one.
+    """
+
+    file: Path
+    key_file: Path
+    ca_file: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class ServerOptions:
     """Where our server listens.
 
@@ -24,6 +38,7 @@ class ServerOptions:
         tcp_port: Port on the loopback interface; None opens no TCP port at all.
         bind: Address that the port is opened on beside the loopback interface, for other machines; needs a password
             or an ACL.
+        certificate: What the port is wrapped in TLS with, for all who use it; None leaves it in clear text.
         password: What everybody must say first, on the socket too; it goes to the server through a pipe, and to this
             user's other processes through a file of mode 0600 beside the socket. None asks for none.
         acl_file: File of users and what each may do, in place of a password.
@@ -39,6 +54,7 @@ class ServerOptions:
     tcp_port: int | None = None
     folder: Path
     bind: str | None = None
+    certificate: Certificate | None = None
     password: str | None = field(default=None, repr=False)
     acl_file: Path | None = None
     login: tuple[str, str] | None = field(default=None, repr=False)
@@ -49,9 +65,11 @@ class ServerOptions:
         """Refuse what would open the bus to everybody.
 
         Raises:
-            ConfigError: an address without a password, an ACL or a port.
+            ConfigError: an address without a password, an ACL or a port, or a certificate without an address.
         """
         if self.bind is None:
+            if self.certificate is not None:
+                raise ConfigError("a certificate is for a bus of several machines: name an address of this one, --bind")
             return
         if self.password is None and self.acl_file is None:
             raise ConfigError(f"bus on {self.bind}: only with a password or an ACL; anybody there could move the robot")
@@ -85,7 +103,7 @@ def address_of(options: ServerOptions) -> BusAddress:
 
 def arguments(options: ServerOptions) -> list[str]:
     """Return the settings that everybody may see."""
-    listen = ["--port", str(options.tcp_port or 0), "--protected-mode", "yes"]
+    listen = [*_port(options), "--protected-mode", "yes"]
     if options.tcp_port is not None:
         listen += ["--bind", *_interfaces(options.bind)]
     if options.socket is not None:
@@ -106,6 +124,17 @@ def arguments(options: ServerOptions) -> list[str]:
         *("--repl-ping-replica-period", "1"),  # a tap tells a dead link from a quiet bus within seconds
         *("--client-output-buffer-limit", "replica", "1gb", "0", "0"),  # a stalled disk must not cost the tap its link
     ]
+
+
+def _port(options: ServerOptions) -> list[str]:
+    port, certificate = str(options.tcp_port or 0), options.certificate
+    if certificate is None:
+        return ["--port", port]
+    clients = (
+        ["no"] if certificate.ca_file is None else ["yes", "--tls-ca-cert-file", str(certificate.ca_file.absolute())]
+    )
+    return ["--port", "0", "--tls-port", port, "--tls-cert-file", str(certificate.file.absolute()),
+            "--tls-key-file", str(certificate.key_file.absolute()), "--tls-auth-clients", *clients]  # fmt: skip
 
 
 def _interfaces(bind: str | None) -> list[str]:

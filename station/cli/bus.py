@@ -16,10 +16,11 @@ from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
     from station.bus.keeper import KeptServer
-    from station.bus.server_options import ServerOptions
+    from station.bus.server_options import Certificate, ServerOptions
     from station.supervision.runbook import Runbook
 
 _STOCK_PORT = 6379
+_FILE = NamedPath(exists=True, dir_okay=False, path_type=Path)
 
 
 @click.group("bus", cls=Verbs)
@@ -34,13 +35,21 @@ def command() -> None:
               help="Open the port (6379, or that of --tcp) to other machines here, with a password.")  # fmt: skip
 @click.option("--acl", "acl_file", metavar="FILE", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Users, and what each may do, in place of one password; see `station bus acl`.")  # fmt: skip
-def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None:
+@click.option("--certificate", metavar="FILE", type=_FILE, default=None,
+              help="Wrap the port in TLS; needs a server that can (apt install redis-server), and --key.")  # fmt: skip
+@click.option("--key", "key_file", metavar="FILE", type=_FILE, default=None, help="Key of the certificate.")
+@click.option("--ca", "ca_file", metavar="FILE", type=_FILE, default=None,
+              help="Let in only who shows a certificate that this authority signed.")  # fmt: skip
+def start(
+    tcp_port: int | None, bind: str | None, acl_file: Path | None, certificate: Path | None, key_file: Path | None,
+    ca_file: Path | None,
+) -> None:  # fmt: skip
     """Run a bus in this terminal until it is interrupted."""
     from station.bus.keeper import KeptServer
 
     stop = threading.Event()
     set_on_signals(stop)
-    options = _options(tcp_port, bind, acl_file)
+    options = _options(tcp_port, bind, acl_file, _certificate(certificate, key_file, ca_file))
     with KeptServer.start(options, on_restart=lambda text: click.echo(text, err=True)) as server:
         _introduce(server, options)
         while not stop.wait(0.5):
@@ -48,7 +57,19 @@ def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None
                 raise server.error
 
 
-def _options(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> ServerOptions:
+def _certificate(file: Path | None, key_file: Path | None, ca_file: Path | None) -> Certificate | None:
+    from station.bus.server_options import Certificate
+
+    if file is not None and key_file is not None:
+        return Certificate(file=file, key_file=key_file, ca_file=ca_file)
+    if any((file, key_file, ca_file)):
+        raise UsageError("TLS needs --certificate and --key; --ca beside them asks clients for theirs")
+    return None
+
+
+def _options(
+    tcp_port: int | None, bind: str | None, acl_file: Path | None, certificate: Certificate | None
+) -> ServerOptions:
     import secrets
 
     from station.bus import address as addresses
@@ -70,6 +91,7 @@ def _options(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> S
         socket=folder / "bus.sock",
         tcp_port=tcp_port or (_STOCK_PORT if bind is not None else None),
         bind=bind,
+        certificate=certificate,
         password=secrets.token_urlsafe(24) if needs_password else None,
         acl_file=acl_file,
         login=login,
@@ -82,7 +104,14 @@ def _introduce(server: KeptServer, options: ServerOptions) -> None:
 
     click.echo(f"bus {server.address} (pid {server.pid}); every station command of yours finds it by itself")
     if options.bind is not None and options.socket is not None:
-        click.echo(f"other machines: redis://{options.bind}:{options.tcp_port}/0, in clear text, with a password")
+        scheme, how = ("redis", "in clear text") if options.certificate is None else ("rediss", "encrypted")
+        click.echo(f"other machines: {scheme}://{options.bind}:{options.tcp_port}/0, {how}, with a password")
+        if options.certificate is not None:
+            ours = ", and its own certificate in $STATION_BUS_CERT and $STATION_BUS_KEY"
+            click.echo(
+                "  each names the authority that signed the bus's certificate in $STATION_BUS_CA"
+                + ours * (options.certificate.ca_file is not None)
+            )
         if options.acl_file is None:
             file = password_file.beside(options.socket)
             click.echo(f"  it is in {file}; copy that file and name the copy in ${PASSWORD_FILE_VARIABLE}")

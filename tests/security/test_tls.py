@@ -1,11 +1,13 @@
 """TLS to a bus: the certificates that the environment names are used, and a wrong one is refused in a line.
 
-The server that our tests run has no TLS of its own; a proxy in front of it speaks Python's.
+The server that comes with Python has no TLS of its own: a proxy in front of it speaks Python's, and a Redis of the
+system's is tried where there is one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import socket
 import ssl
@@ -21,6 +23,9 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.tap import open_tap
 from station.errors import BusError, ConfigError
+from tests.cli.running import COMMANDS_ONLY, SHORT, new_home, one_line
+from tests.network_link.far_bus import opened_bus
+from tests.tiers import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
 _CHUNK = 1 << 16
@@ -144,3 +149,66 @@ def _refused(url: str, kind: type[Exception]) -> str:
     message = str(refused.value)
     assert "\n" not in message
     return message
+
+
+@pytest.fixture
+def redis() -> dict[str, str]:
+    """Variables with which `station bus start` finds a Redis with TLS: the system's, or one that `.ci/run` unpacked."""
+    unpacked = ROOT / ".venv" / "redis" / "usr"
+    folders = [str(unpacked / "bin"), *os.environ.get("PATH", "").split(os.pathsep)]
+    libraries = os.pathsep.join(map(str, (unpacked / "lib").glob("*-linux-gnu")))
+    found = {"PATH": os.pathsep.join(folders), "LD_LIBRARY_PATH": libraries}
+    server = shutil.which("redis-server", path=found["PATH"])
+    help_text = b"" if server is None else _help(server, found)
+    if b"tls" not in help_text:
+        message = "no redis-server with TLS: apt install redis-server"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(message)
+    return found
+
+
+def _help(server: str, variables: dict[str, str]) -> bytes:
+    """Return what a server says of a port with TLS but without a certificate; one that has no TLS says that instead."""
+    words = [server, "--port", "0", "--tls-port", "1", "--tls-cert-file", "/nowhere.pem"]
+    done = subprocess.run(words, env=os.environ | variables, capture_output=True, timeout=30, check=False)
+    return b"tls" if b"Failed to configure TLS" in done.stdout else b""
+
+
+def test_a_bus_of_ours_speaks_tls_and_a_station_elsewhere_is_recorded_over_it(
+    redis: dict[str, str], certificates: Path, free_port: int, processes: None
+) -> None:
+    with new_home() as robot, new_home() as desk:
+        robot.environment |= redis
+        files = ("--certificate", certificates / "localhost.pem", "--key", certificates / "localhost.key")
+        words = ["bus", "start", "--bind", "127.0.0.1", "--tcp", free_port, *files, "--ca", certificates / "ca.pem"]
+        with robot.running(*map(str, words)) as bus:
+            here = opened_bus(robot)
+            desk.environment |= {
+                "STATION_BUS": f"rediss://localhost:{free_port}/0", "STATION_BUS_PASSWORD": here.password or "",
+                "STATION_BUS_CA": str(certificates / "ca.pem"),
+            }  # fmt: skip
+            assert "it may ask for a certificate of ours: name that in $STATION_BUS_CERT" in one_line(
+                desk.run("status")
+            )
+            desk.environment |= {
+                "STATION_BUS_CERT": str(certificates / "client.pem"),
+                "STATION_BUS_KEY": str(certificates / "client.key"),
+            }
+            done = desk.run("up", COMMANDS_ONLY, "--record", "--task", "t", "--for", "2s", *SHORT)
+            assert done.returncode == 0, done.stderr
+            assert " 0 lost" in done.stderr
+            assert "replication tap" in desk.run("check", "latest").stdout
+            assert "bus certificate: valid until" in desk.run("doctor").stdout
+            bus.interrupt()
+            assert f"rediss://127.0.0.1:{free_port}/0, encrypted, with a password" in bus.finish()[1]
+
+
+def test_a_server_without_tls_and_a_certificate_without_its_key_are_refused_in_a_line(
+    certificates: Path, processes: None
+) -> None:
+    with new_home() as home:
+        home.environment["PATH"] = ""  # the server that comes with Python is left
+        pem, key = str(certificates / "localhost.pem"), str(certificates / "localhost.key")
+        tls = ("--certificate", pem, "--key", key)
+        assert "has no TLS; put one that has on PATH" in one_line(home.run("bus", "start", "--bind", "127.0.0.1", *tls))
+        assert "name an address of this one, --bind" in one_line(home.run("bus", "start", *tls))
+        assert "TLS needs --certificate and --key" in one_line(home.run("bus", "start", "--certificate", pem))
