@@ -21,6 +21,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 _DURATION = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|)\s*$")
 _EXPONENT = re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
 _NO_CHOICE = "Invalid enum value "  # what comes behind it is the value, also where its place is not told
+_MISSING = "Object missing required field "
 _STEPS = re.compile(r"\[[^\]]*\]|[^.\[]+")
 _SECONDS = {"ms": 1e-3, "s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -199,11 +200,18 @@ def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: M
         text = f"expected {' or '.join(known)}, got {came}{hint}"
     elif not isinstance(value, Mapping):
         text = re.sub(r"got `[^`]*`$", lambda _: f"got {value!r}", text)
-    text = (
-        text.replace("`object`", "a mapping").replace("`", "").replace("Object missing required field", "missing key")
-    )
+    if text.startswith(_MISSING):
+        text += _expected_in(wanted if place else kind, text.removeprefix(_MISSING).strip("`"))
+    text = text.replace("`object`", "a mapping").replace("`", "").replace(_MISSING, "missing key ")
     text = text[:1].lower() + text[1:]
     return f"{place}: {text}" if place else text
+
+
+def _expected_in(kind: Any, key: str) -> str:
+    """Return in words what a key of a type may be, where it is one of a few choices, else nothing."""
+    fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)} if _is_struct(kind) else {}
+    known = sorted(map(str, choices(fields.get(key))))
+    return f": expected {' or '.join(known)}" if known else ""
 
 
 def _at(place: str, kind: Any, values: Any) -> tuple[Any, Any]:

@@ -116,6 +116,7 @@ class Agent:
     def run(self) -> int:
         """Do so until asked to stop; return the exit code."""
         key = keys.host(self._config.host)
+        self._bus.clocks.start()  # so that a recorder elsewhere has this machine's clock, whoever commands its robot
         try:
             with self._bus.watch([key]) as watch:
                 seen = watch.latest(key)  # what stood there before: whoever wanted it may be gone

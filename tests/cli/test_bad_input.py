@@ -94,6 +94,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["demo", "--set", "motion.motion=builtin:wak"], "(motion): unknown built-in motion 'wak'"),
         (["serve", "motin"], "unknown server 'motin' (did you mean 'motion'?); known: camera, cues, foxglove, g1,"),
         (["serve", "motion"], "server motion (`station settings motion` lists them): missing key motion"),
+        (["serve", "lcm"], "lists them): missing key mode: expected our-cockpit or their-cockpit"),
         (["serve", "recorder", "--set", "data=[1]"], "lists them): data: expected a path, got [1]"),
         (["serve", "g1", "--set", "gate.hold_afer_s=1"], "unknown key 'hold_afer_s' (did you mean 'hold_after_s'?)"),
         (["keys", "action_body"], "no key that anything describes (did you mean 'action_body_unitree_g1_with_hands'?)"),

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from station.bus import codec, keys
+from station.bus import codec, keys, stamp
 from station.bus.client import Bus
 from station.supervision.hosts import LEASE_S, Wanted, WantedServer
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home, Running, are_gone, new_home, one_line
@@ -43,10 +43,14 @@ def site(processes: None) -> Iterator[Site]:
 
 
 def test_a_station_on_another_machine_is_recorded_there_and_ends_in_order(site: Site) -> None:
-    with site.desk.running(*site.up("--on", "recorder=robot", "--record", "--task", "t", *SHORT)) as station:
+    with Bus(site.robot.bus, name="test") as bus:
+        wait_until(lambda: bus.get(keys.clock(stamp.boot_id())), 10.0)
+    with site.desk.running(
+        *site.up("--on", "recorder=robot", "--record", "--task", "t", "--for", "2s", *SHORT)
+    ) as station:
         code, out = station.finish()
     assert code == 0, station.text
-    steps = ["✓ start recorder on robot", "· recording", "✓ start motion", "· motion has finished", "✓ stop recorder"]
+    steps = ["✓ start recorder on robot", "· recording", "✓ start motion", "· 2 s are over", "✓ stop recorder"]
     places = [station.text.find(step) for step in steps]
     assert -1 not in places
     assert places == sorted(places)
