@@ -21,6 +21,7 @@ from station.episode.storage.manifest import Manifest, dump_manifest, facts_of, 
 from station.episode.storage.progress import ResumePoint, Totals, WriterOptions, save_resume_point
 from station.episode.writing.checkpoint import EVERY_S, save_checkpoints
 from station.episode.writing.closing import note_files, summary_record
+from station.episode.writing.file import FarTimes
 from station.episode.writing.files import EpisodeFiles, Lag
 from station.errors import EpisodeError
 from station.life.events import Severity
@@ -88,7 +89,7 @@ class EpisodeWriter:
         self._closing: Closing | None = None
         self.contracts = contracts or Contracts(manifest.servers.values())
         if reopened is not None:
-            reopened.contracts, reopened.offset_of = self.contracts, self._options.offset_of
+            reopened.contracts, reopened.far = self.contracts, FarTimes(self._options.offset_of)
         self._files = reopened
         self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id, clock)
         self._position = place
@@ -198,7 +199,7 @@ class EpisodeWriter:
         data = save_manifest(manifest, self.folder) if manifest else b""
         if self._files is None:
             self._files = EpisodeFiles.create(self.folder, self.anchor, self._facts, data)
-            self._files.contracts, self._files.offset_of = self.contracts, self._options.offset_of
+            self._files.contracts, self._files.far = self.contracts, FarTimes(self._options.offset_of)
         else:
             self.state = "open"
         self._ledger.record(self._position, self._files)

@@ -35,6 +35,37 @@ STAMPS_NUMBER = 1  # of the channel that holds the exact stamps
 MOST_GAPS = 10_000  # beyond that only the counters go on
 
 
+class FarTimes:
+    """When other machines wrote, by an episode's clock.
+
+    All values of one write have one instant, by which readers know that they belong together: what is known of a clock
+    may have changed between two of them.
+
+    Args:
+        offset_of: How the clocks of other machines are to be read.
+    """
+
+    def __init__(self, offset_of: OffsetOf = unknown) -> None:
+        self.offset_of = offset_of
+        self._newest: dict[str, tuple[int, int]] = {}
+
+    def at(self, source: str, written_ns: int, log_ns: int, anchor: Anchor) -> int:
+        """Return when a source wrote a value; when it came, where its clock is not known [ns].
+
+        Args:
+            source: Who.
+            written_ns: When, by the monotonic clock of its machine.
+            log_ns: When the value came.
+            anchor: The episode's clock.
+        """
+        if (newest := self._newest.get(source)) is not None and newest[0] == written_ns:
+            return newest[1]
+        offset = self.offset_of(stamps.boot_of(source))
+        found = log_ns if offset is None else min(anchor.at(written_ns + offset.ns), log_ns)
+        self._newest[source] = written_ns, found
+        return found
+
+
 class EpisodeFile:
     """``signals.mcap.active``, or that of pictures or clouds: turns writes into messages, and counts them per channel.
 
@@ -48,14 +79,14 @@ class EpisodeFile:
         gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
         episode_summary: What the messages tell.
         contracts: What is known of keys when their channels are made.
-        offset_of: How the clocks of other machines are to be read; nothing is known of them until it is set.
+        far: When other machines wrote; nothing is known of their clocks until it is set.
     """
 
     def __init__(self, disk: Disk, anchor: Anchor, names: layout.Names, drops: Drops | None, *, is_new: bool) -> None:
         """Wrap a file that is open at its end; `create` and `reopen` make one."""
         self.names = names
         self.contracts = Contracts()
-        self.offset_of: OffsetOf = unknown
+        self.far = FarTimes()
         self._anchor = anchor
         self._disk = disk
         self._by_stamp: dict[tuple[str, bytes], Channel] = {}
@@ -218,17 +249,15 @@ class EpisodeFile:
             written_ns = stamps.integer(fields[1])
         except ValueError:
             return False
-        publish_ns = self._anchor.at(written_ns) if channel.shares_clock else self._far_ns(channel, written_ns, log_ns)
+        if channel.shares_clock:
+            publish_ns = self._anchor.at(written_ns)
+        else:
+            publish_ns = self.far.at(channel.source, written_ns, log_ns, self._anchor)
         if not is_storable(publish_ns) or b"\n" in stamp or abs(sequence) > _LARGEST_SEQUENCE:
             return False
         self._stamps.append(b"%d %b" % (channel.id, stamp))
         self._put(channel, sequence, value, log_ns, publish_ns, stamp)
         return True
-
-    def _far_ns(self, channel: Channel, written_ns: int, log_ns: int) -> int:
-        """Return when another machine wrote a value, by the episode's clock, else when it arrived [ns]."""
-        offset = self.offset_of(stamps.boot_of(channel.source))
-        return log_ns if offset is None else min(self._anchor.at(written_ns + offset.ns), log_ns)
 
     def _add_foreign(self, key: str, value: bytes | None, log_ns: int) -> None:
         channel = self._foreign.get((key, value is None))

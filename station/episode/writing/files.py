@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from station.atomic_file import sync_folder
-from station.bus.clocks import OffsetOf
 from station.bus.contracts import Contracts
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, is_storable
@@ -18,7 +17,7 @@ from station.episode.storage.drops import Drops, drops_record, streams_of
 from station.episode.storage.progress import ResumePoint, Totals
 from station.episode.storage.records import metadata_at_head
 from station.episode.writing.checkpoint import Checkpoint, load_checkpoint
-from station.episode.writing.file import EpisodeFile
+from station.episode.writing.file import EpisodeFile, FarTimes
 
 if TYPE_CHECKING:
     from station.bus.tap.base import Write
@@ -74,14 +73,14 @@ class EpisodeFiles:
             file.contracts = known
 
     @property
-    def offset_of(self) -> OffsetOf:
-        """How the clocks of other machines are to be read."""
-        return self.signals.offset_of
+    def far(self) -> FarTimes:
+        """When other machines wrote."""
+        return self.signals.far
 
-    @offset_of.setter
-    def offset_of(self, known: OffsetOf) -> None:
+    @far.setter
+    def far(self, known: FarTimes) -> None:
         for file in self:
-            file.offset_of = known
+            file.far = known
 
     @classmethod
     def create(cls, folder: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> EpisodeFiles:
@@ -249,7 +248,7 @@ class EpisodeFiles:
     def _make(self, names: layout.Names) -> EpisodeFile:
         path = self._folder / names.active
         made = EpisodeFile.create(path, self._anchor, self._facts, names=names, drops=self.drops)
-        made.contracts, made.offset_of = self.contracts, self.offset_of
+        made.contracts, made.far = self.contracts, self.far
         self._bulk[names] = made
         sync_folder(self._folder)
         return made

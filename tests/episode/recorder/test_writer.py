@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,23 @@ def test_times_of_another_machine_whose_clock_is_known_are_on_the_episodes_clock
     assert [m.log_ns - ANCHOR.wall_ns for m in found] == [9_000_000, 12_000_000, 14_000_000, 26_000_000]
     assert all(shares_clock(m.channel, ANCHOR.boot) for m in found), "an export goes by when they were written"
     assert frames.captured_ns(found[-1]) - ANCHOR.wall_ns == 20_000_000 - 9
+
+
+def test_all_values_of_one_write_have_one_instant_whatever_is_learnt_of_a_clock_meanwhile(tmp_path: Path) -> None:
+    far, told = "00c0ffee", count()
+
+    def offset_of(boot: str) -> Offset | None:
+        return Offset(ANCHOR.mono_ns - 1_000_000_000 + next(told), 2_000_000) if boot == far else None
+
+    def write(key: str, sequence: int) -> Write:
+        mark = Stamp(sequence, 1_000_000_000 + sequence * 1000, 77, f"g1.1.{far}.beef")
+        return Write(key, jpeg(1) if key == CAMERA else b"[2]", mark.encode(), ANCHOR.mono_ns + 9_000_000)
+
+    writer = writer_in(tmp_path, offset_of=offset_of)
+    writer.put([write(key, sequence) for sequence in (1, 2) for key in (BODY, "other", CAMERA)])
+    closed(writer)
+    instants = [m.publish_ns - ANCHOR.wall_ns for m in open_episode(tmp_path).messages()]
+    assert sorted(instants) == [1000] * 3 + [2001] * 3
 
 
 @pytest.mark.usefixtures("processes")
