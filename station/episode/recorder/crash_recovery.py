@@ -235,7 +235,7 @@ class CrashRecovery:
                 must_wait = pace.must_wait(recording.load, self._clock.monotonic_s(), written_ns * 1e-9)
                 if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
                     continue
-                writes = as_written(tap.read(_READ_S), written_ns)
+                writes = as_written(tap.read(_READ_S), written_ns, self._options.writer.offset_of)
                 if writes:
                     written_ns = writes[-1].mono_ns
                     recording.feed_to_the_end(writes, tap.position(), later)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from station.bus import keys
 from station.bus import stamp as stamps
+from station.bus.clocks import OffsetOf, unknown
 from station.clock import SYSTEM, Clock
 from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.options import RecordingOptions
@@ -182,17 +183,18 @@ def last_requests(folder: Path) -> list[str]:
     return [asker for asker in found if asker is not None]
 
 
-def as_written(writes: Sequence[Write], after_ns: int) -> list[Write]:
+def as_written(writes: Sequence[Write], after_ns: int, offset_of: OffsetOf) -> list[Write]:
     """Return writes that waited at the server, with the time at which they were written instead of when they came.
 
-    A writer that stamps tells it, if its clock is ours; one that does not came right behind the write before it. So a
-    recorder that was away leaves no burst behind, and no silence.
+    A writer that stamps tells it, if its clock is known here; one that does not came right behind the write before it.
+    So a recorder that was away leaves no burst behind, and no silence.
 
     Args:
         writes: In the order of the bus, with the time of their late arrival.
         after_ns: No time before this one [ns, monotonic]; 0 when nothing is known of what came before.
+        offset_of: How the clocks of other machines are to be read.
     """
-    told = [written_ns(write) for write in writes]
+    told = [written_ns(write, offset_of) for write in writes]
     at_ns = after_ns or next((time_ns for time_ns in told if time_ns is not None), 0)
     dated = []
     for write, time_ns in zip(writes, told, strict=True):
@@ -202,10 +204,14 @@ def as_written(writes: Sequence[Write], after_ns: int) -> list[Write]:
     return dated
 
 
-def written_ns(write: Write) -> int | None:
-    """Return when a write was made [ns, monotonic]; None for a writer without stamps, or with another clock."""
+def written_ns(write: Write, offset_of: OffsetOf = unknown) -> int | None:
+    """Return when a write was made [ns, monotonic]; None for a writer without stamps, or with a clock that is not known
+    here."""
     mark = stamps.decode(write.stamp) if write.stamp is not None else None
-    return mark.mono_ns if mark is not None and mark.is_from_this_boot else None
+    if mark is None or mark.is_from_this_boot:
+        return None if mark is None else mark.mono_ns
+    offset = offset_of(stamps.boot_of(mark.source))
+    return None if offset is None else mark.mono_ns + offset.ns
 
 
 def newest_written_ns(writes: Sequence[Write]) -> int:

@@ -101,7 +101,8 @@ class TapReader:
 
     def _feed(self, writes: Sequence[Write]) -> None:
         is_late = self._catching_up.is_late
-        writes = as_written(writes, self._written_ns) if is_late else writes
+        if is_late:
+            writes = as_written(writes, self._written_ns, self.recording.options.writer.offset_of)
         self._written_ns = writes[-1].mono_ns
         if not is_late:  # what waited comes all at once, and says nothing of the rate
             self.recording.room.count(writes)

@@ -15,6 +15,8 @@ import pytest
 
 from adapters.robots.g1 import twist_keys
 from station.bus import stamp as stamps
+from station.bus.clocks import Offset, unknown
+from station.bus.stamp import Stamp
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
@@ -212,11 +214,22 @@ def test_writes_that_waited_get_the_time_at_which_they_were_written() -> None:
         g1.write(BODY, b"2", written_ns=now + 1000)._replace(mono_ns=late),
         Write(BODY, b"3", b"9 1 1 far.1.00000000.beef", late),
     ]
-    assert [write.mono_ns - now for write in as_written(writes, 0)] == [0, 0, 0, 1000, 1000]
-    assert [write.mono_ns - now for write in as_written(writes, now + 500)] == [500, 500, 500, 1000, 1000]
-    assert as_written([writes[0]], 0) == [writes[0]], "nothing tells its time"
+    assert [write.mono_ns - now for write in as_written(writes, 0, unknown)] == [0, 0, 0, 1000, 1000]
+    assert [write.mono_ns - now for write in as_written(writes, now + 500, unknown)] == [500, 500, 500, 1000, 1000]
+    assert as_written([writes[0]], 0, unknown) == [writes[0]], "nothing tells its time"
     ahead = g1.write(BODY, b"1", written_ns=late + 10**12)._replace(mono_ns=late)
-    assert as_written([ahead], now)[0].mono_ns == late, "a clock that runs ahead is not followed"
+    assert as_written([ahead], now, unknown)[0].mono_ns == late, "a clock that runs ahead is not followed"
+
+
+def test_writes_of_another_machine_that_waited_get_their_time_where_its_clock_is_known() -> None:
+    now, far = time.monotonic_ns(), "00c0ffee"
+    writes = [
+        Write(BODY, b"1", Stamp(number, 5_000 + number * 20, 1, f"g1.1.{far}.beef").encode(), now + 2_000_000_000)
+        for number in range(3)
+    ]
+    told = as_written(writes, now, {far: Offset(now - 5_000, 100)}.get)
+    assert [write.mono_ns - now for write in told] == [0, 20, 40]
+    assert [write.mono_ns - now for write in as_written(writes, now, unknown)] == [0, 0, 0]
 
 
 def test_the_newest_of_our_own_writes_tells_up_to_when_all_is_known() -> None:
