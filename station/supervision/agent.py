@@ -154,6 +154,8 @@ class Agent:
                 self._refuse(f"{wanted.who} wants servers here, while those of {self._who} run")
                 return
             self._station = ""
+            for name in list(self._running):
+                self._drop(name)
         if not self._station and wanted.servers:
             self._station, self._who = wanted.station, wanted.who
             self._life.event("host-serves", who=self._who)
