@@ -141,18 +141,21 @@ class LinkPoses:
 
 
 def forward(root_pos: Floats, root_quat_wxyz: Floats, q: Floats) -> LinkPoses:
-    """Return the pose of every link.
+    """Return the pose of every link, or of the first ones.
 
     Args:
         root_pos: Positions of the pelvis, shape (n, 3) [m].
         root_quat_wxyz: Its orientations, unit quaternions, shape (n, 4).
-        q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad].
+        q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad]; or those of its
+            first m joints, as the 12 of the legs, and then only the links before those of the others are there.
     """
-    position = np.empty((len(LINKS), len(q), 3))
-    rotation = np.empty((len(LINKS), len(q), 3, 3))
+    links = q.shape[-1] + 1
+    position = np.empty((links, len(q), 3))
+    rotation = np.empty((links, len(q), 3, 3))
     position[0], rotation[0] = root_pos, matrix(root_quat_wxyz)
-    turned = _FIXED + np.sin(q)[..., None, None] * _BY_SINE + np.cos(q)[..., None, None] * _BY_COSINE
-    for index in range(1, len(LINKS)):
+    fixed, by_sine, by_cosine = (each[: links - 1] for each in (_FIXED, _BY_SINE, _BY_COSINE))
+    turned = fixed + np.sin(q)[..., None, None] * by_sine + np.cos(q)[..., None, None] * by_cosine
+    for index in range(1, links):
         parent = rotation[_PARENT[index]]
         position[index] = position[_PARENT[index]] + parent @ _POSITION[index]
         rotation[index] = parent @ turned[:, index - 1]

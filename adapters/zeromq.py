@@ -1,0 +1,197 @@
+"""ZeroMQ's sockets as bridges need them: bounded, with an age for what waited, and nothing lost without a word.
+
+ZeroMQ has no authentication, and says neither who sends nor when. So a message counts as come when it is read, unless
+this process stood still before: then what waited counts as come when it last looked. Addresses are ``tcp://HOST:PORT``;
+to listen on all of a computer's addresses is refused, one of them has to be named.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from station.clock import SYSTEM, Clock
+from station.errors import StationError
+
+EXTRA = "zmq"
+"""Of our package, which brings the library."""
+
+MOST_BYTES = 1 << 18
+"""Of a message that is received; whoever sends more is cut off by the library."""
+
+PAUSED_S = 0.1
+"""A process that has not looked for so long stood still [s]."""
+
+_SETTLE_S = 0.05  # in which the library's thread hands over what lay in the kernel
+_BACKLOG = 64  # messages that wait here; more stay with the sender, which then drops its own
+_MOST_READ = 200  # of one look: whoever sends faster does not keep a server from its other work
+_QUEUED = 10  # messages of ours that wait for one reader
+_SEND_BYTES = (
+    16384  # that the kernel holds for a reader that does not read: seconds of old commands are worse than none
+)
+_BEAT_MS, _DEAD_MS = 500, 2000  # a peer whose cable was pulled is noticed, and reconnected to
+_ADDRESS = re.compile(r"tcp://([A-Za-z0-9_.-]+|\[[0-9a-fA-F:]+\]|\*):([0-9]{1,5})")
+_ANYWHERE = ("*", "0.0.0.0", "[::]")
+
+
+def host_of(address: str) -> str:
+    """Return the host of an address, without brackets."""
+    found = _ADDRESS.fullmatch(address)
+    return found.group(1).strip("[]") if found else ""
+
+
+def expect_address(name: str, address: str, *, listens: bool) -> None:
+    """Check an address of the settings.
+
+    Args:
+        name: Of the setting.
+        address: What it says.
+        listens: Whether we listen there, and others connect.
+
+    Raises:
+        ValueError: it is none; or it is all of this computer's.
+    """
+    example = "tcp://127.0.0.1:5556"
+    found = _ADDRESS.fullmatch(address)
+    if found is None or not 1 <= int(found.group(2)) <= 65535 or (not listens and found.group(1) == "*"):
+        raise ValueError(f"{name} is {address!r}; expected an address such as {example}")
+    if listens and found.group(1) in _ANYWHERE:
+        raise ValueError(
+            f"{name} is {address}: that listens on every network; expected the one address that this computer has "
+            f"where the others are, or {example}"
+        )
+
+
+def library() -> Any:
+    """Import pyzmq.
+
+    Raises:
+        StationError: it is not installed.
+    """
+    try:
+        return importlib.import_module("zmq")
+    except ImportError:
+        raise StationError(
+            f"ZeroMQ needs pyzmq, which is not installed; pip install 'teleop-station[{EXTRA}]'"
+        ) from None
+
+
+class Subscriber:
+    """Hears a publisher, which may come and go.
+
+    Args:
+        address: Where it publishes.
+        topics: What messages begin with that are wanted.
+        clock: Of the arrivals.
+
+    Raises:
+        StationError: no pyzmq, or no such address.
+    """
+
+    def __init__(self, address: str, topics: Sequence[str], *, clock: Clock = SYSTEM) -> None:
+        self._zmq, self._clock = library(), clock
+        self._socket = _opened(self._zmq, self._zmq.SUB)
+        self._socket.setsockopt(self._zmq.RCVHWM, _BACKLOG)
+        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
+        for topic in topics:
+            self._socket.setsockopt(self._zmq.SUBSCRIBE, topic.encode())
+        with _told(self._zmq, self._socket, address, "connected to"):
+            self._socket.connect(address)
+        self._looked_s = clock.monotonic_s()
+        self._old: tuple[float, float] | None = None  # what is read before the one instant came at the other
+
+    def receive(self, timeout_s: float) -> Iterator[tuple[bytes, float]]:
+        """Yield messages and when they came [s], once one is there or a time has passed [s]."""
+        began_s = self._clock.monotonic_s()
+        if began_s - self._looked_s > PAUSED_S:
+            self._old = began_s + _SETTLE_S, self._looked_s
+        self._socket.poll(round(timeout_s * 1e3))
+        for _ in range(_MOST_READ):
+            try:
+                parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
+            except self._zmq.Again:
+                if self._old is not None and self._clock.monotonic_s() > self._old[0]:
+                    self._old = None
+                break
+            yield b"".join(parts), self._clock.monotonic_s() if self._old is None else self._old[1]
+            self._looked_s = self._clock.monotonic_s()
+        self._looked_s = self._clock.monotonic_s()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+
+class Publisher:
+    """Listens for subscribers and publishes to them; whoever reads too slowly is told of, and gets nothing old.
+
+    Args:
+        address: Where it listens.
+
+    Attributes:
+        subscribed: What they have subscribed to.
+
+    Raises:
+        StationError: no pyzmq, or it cannot listen there.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._zmq = library()
+        self.subscribed: set[bytes] = set()
+        self._socket = _opened(self._zmq, self._zmq.XPUB)
+        self._socket.setsockopt(self._zmq.SNDHWM, _QUEUED)
+        self._socket.setsockopt(self._zmq.SNDBUF, _SEND_BYTES)
+        self._socket.setsockopt(self._zmq.XPUB_NODROP, 1)
+        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
+        with _told(self._zmq, self._socket, address, "listened on"):
+            self._socket.bind(address)
+
+    def send(self, *parts: bytes) -> str:
+        """Send a message; return why it could not be, or ""."""
+        try:
+            self._socket.send_multipart(parts, self._zmq.NOBLOCK)
+        except self._zmq.Again:
+            return "who hears it does not read"
+        return ""
+
+    def poll(self) -> bool:
+        """Take up who has come or gone; return whether anybody did."""
+        is_changed = False
+        for _ in range(_MOST_READ):
+            try:
+                told = b"".join(self._socket.recv_multipart(self._zmq.NOBLOCK))
+            except self._zmq.Again:
+                break
+            if told[:1] == b"\1":
+                self.subscribed.add(told[1:])
+            elif told[:1] == b"\0":
+                self.subscribed.discard(told[1:])
+            is_changed = True
+        return is_changed
+
+    def close(self) -> None:
+        """Listen no more; what was sent last is still delivered, where somebody reads it at once."""
+        self._socket.close(linger=200)
+
+
+def _opened(zmq: Any, kind: int) -> Any:
+    made = zmq.Context.instance().socket(kind)
+    made.setsockopt(zmq.LINGER, 0)
+    made.setsockopt(zmq.HEARTBEAT_IVL, _BEAT_MS)
+    made.setsockopt(zmq.HEARTBEAT_TIMEOUT, _DEAD_MS)
+    return made
+
+
+@contextlib.contextmanager
+def _told(zmq: Any, socket: Any, address: str, what: str) -> Iterator[None]:
+    try:
+        yield
+    except zmq.ZMQError as error:
+        socket.close()
+        raise StationError(
+            f"{address}: cannot be {what}: {error.strerror or error}; expected an address such as "
+            "tcp://127.0.0.1:5556, of this computer and of a port that is free where we listen"
+        ) from None
