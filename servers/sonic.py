@@ -57,6 +57,7 @@ JOINTS_RAD_S = 1.0
 MOST_M_S, MOST_RAD_S = 2.5, 1.5
 """The most that SONIC's robot is asked for: it walks up to there, and runs beyond; the turn is ours."""
 
+_MOST_LEFT_OUT = 32  # names of fields that are told: a stranger may invent some
 _STARTS = 10  # so often an order is repeated: a subscriber that has just come may miss one
 _NAME = re.compile(r"[a-z0-9_]*")
 
@@ -225,13 +226,14 @@ class TheirCommander:
         return why_no_command(data, self._command) or {self._command.key: data}
 
     def _tell_left_out(self, fields: frozenset[str]) -> None:
-        """Tell once of each field that says something which the command cannot."""
-        if found := (fields & _LEFT_OUT) - self._left_out:
+        """Tell once of each field that says what the command cannot, or that nobody here knows."""
+        found = fields - _USED[self._config.stream] - self._left_out
+        if found and len(self._left_out) < _MOST_LEFT_OUT:
             self._left_out |= found
             self._life.event("sonic-left-out", severity="warning", fields=sorted(found))
 
 
-_LEFT_OUT = frozenset((*planner.LEFT_OUT, "catch_up", "heading_increment"))
+_USED: dict[Stream, frozenset[str]] = {"planner": planner.FIELDS, "pose": pose.FIELDS}
 
 
 class OurCommander(ForeignRobot):

@@ -37,11 +37,8 @@ SPEEDS_M_S = {SLOW_WALK: (0.1, 0.8), WALK: (0.8, 2.5), RUN: (2.5, 7.5)}
 OWN_SPEED_M_S = {SLOW_WALK: 0.4, WALK: 0.8, RUN: 2.5}
 """SONIC's own are not published; these are ours."""
 
-LEFT_OUT = (
-    "upper_body_position", "upper_body_velocity", "left_hand_joints", "right_hand_joints", "vr_position",
-    "vr_orientation", "vr_compliance",
-)  # fmt: skip
-"""Fields that a velocity cannot say."""
+FIELDS = frozenset(("mode", "movement", "facing", "speed", "height"))
+"""Of ``planner`` that are used."""
 
 TURN_S, MOST_TURN_RAD_S = 0.3, 1.0
 """What is left to turn is turned in so much time, and never faster; SONIC's planner sees where the robot looks."""

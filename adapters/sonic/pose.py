@@ -29,6 +29,9 @@ from station.rotations import from_roll_pitch_yaw, inverse, multiply, normalized
 POSE = "pose"
 """Topic."""
 
+FIELDS = frozenset(("body_quat", "frame_index", "joint_pos", "joint_vel"))
+"""That are known here."""
+
 VERSION = 1
 FRAME_S = 0.02
 MOST_FRAMES = 64
