@@ -22,6 +22,9 @@ EXTRA = "zmq"
 MOST_BYTES = 1 << 18
 """Of a message that is received; whoever sends more is cut off by the library."""
 
+NOBODY = "nobody hears it"
+"""Why a message was not sent that nobody has subscribed to."""
+
 PAUSED_S = 0.1
 """A process that has not looked for so long stood still [s]."""
 
@@ -106,9 +109,12 @@ class Subscriber:
     def receive(self, timeout_s: float) -> Iterator[tuple[bytes, float]]:
         """Yield messages and when they came [s], once one is there or a time has passed [s]."""
         began_s = self._clock.monotonic_s()
-        if began_s - self._looked_s > PAUSED_S:
-            self._old = began_s + _SETTLE_S, self._looked_s
         self._socket.poll(round(timeout_s * 1e3))
+        now_s = self._clock.monotonic_s()
+        if began_s - self._looked_s > PAUSED_S:
+            self._old = now_s + _SETTLE_S, self._looked_s
+        elif now_s - began_s > timeout_s + PAUSED_S:  # it stood still while it waited
+            self._old = now_s + _SETTLE_S, began_s
         for _ in range(_MOST_READ):
             try:
                 parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
@@ -126,33 +132,43 @@ class Subscriber:
 
 
 class Publisher:
-    """Listens for subscribers and publishes to them; whoever reads too slowly is told of, and gets nothing old.
+    """Listens for subscribers and publishes to them; what one that does not read gets later is bounded.
+
+    With several subscribers the slowest one decides whether a message is sent.
 
     Args:
         address: Where it listens.
+        queued: Messages that wait for one subscriber here.
+        kernel_bytes: That the kernel holds for it beside them.
 
     Attributes:
-        subscribed: What they have subscribed to.
+        subscribed: Beginnings of messages that they have subscribed to.
 
     Raises:
         StationError: no pyzmq, or it cannot listen there.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, *, queued: int, kernel_bytes: int) -> None:
         self._zmq = library()
         self.subscribed: set[bytes] = set()
         self._socket = _opened(self._zmq, self._zmq.XPUB)
-        self._socket.setsockopt(self._zmq.SNDHWM, _QUEUED)
-        self._socket.setsockopt(self._zmq.SNDBUF, _SEND_BYTES)
+        self._socket.setsockopt(self._zmq.SNDHWM, queued)
+        self._socket.setsockopt(self._zmq.SNDBUF, kernel_bytes)
         self._socket.setsockopt(self._zmq.XPUB_NODROP, 1)
         self._socket.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
         with _told(self._zmq, self._socket, address, "listened on"):
             self._socket.bind(address)
 
-    def send(self, *parts: bytes) -> str:
-        """Send a message; return why it could not be, or ""."""
+    def is_wanted(self, message: bytes) -> bool:
+        """Whether anybody has subscribed to what a message begins with, as of the last `poll`."""
+        return any(message.startswith(beginning) for beginning in self.subscribed)
+
+    def send(self, message: bytes) -> str:
+        """Send a message; return why it was not, or ""."""
+        if not self.is_wanted(message):
+            return NOBODY
         try:
-            self._socket.send_multipart(parts, self._zmq.NOBLOCK)
+            self._socket.send(message, self._zmq.NOBLOCK)
         except self._zmq.Again:
             return "who hears it does not read"
         return ""

@@ -57,6 +57,7 @@ JOINTS_RAD_S = 1.0
 MOST_M_S, MOST_RAD_S = 2.5, 1.5
 """The most that SONIC's robot is asked for: it walks up to there, and runs beyond; the turn is ours."""
 
+_QUEUED, _KERNEL_BYTES = 10, 16384  # that wait for a robot which does not read: old commands are worse than none
 _MOST_LEFT_OUT = 32  # names of fields that are told: a stranger may invent some
 _STARTS = 10  # so often an order is repeated: a subscriber that has just come may miss one
 _NAME = re.compile(r"[a-z0-9_]*")
@@ -110,7 +111,7 @@ def main(config: SonicConfig, life: Life) -> int:
         opened = (
             zeromq.Subscriber(config.address, (planner.COMMAND, config.stream), clock=life.clock)
             if is_theirs
-            else zeromq.Publisher(config.address)
+            else zeromq.Publisher(config.address, queued=_QUEUED, kernel_bytes=_KERNEL_BYTES)
         )
         stack.callback(opened.close)
         life.configured({
@@ -267,7 +268,7 @@ class OurCommander(ForeignRobot):
     def hear(self) -> None:
         """Hear whether their robot listens."""
         self._socket.poll()
-        is_heard = any(self._stream.encode().startswith(each) for each in self._socket.subscribed)
+        is_heard = self._socket.is_wanted(self._stream.encode())
         if is_heard != self._is_heard:
             self._is_heard = is_heard
             self.life.event(
@@ -300,6 +301,6 @@ class OurCommander(ForeignRobot):
         self._sent += not why_not
         self._unsent += bool(why_not)
         if why_not != self._why_unsent:
-            severity: Severity = "error" if why_not else "info"
+            severity: Severity = "warning" if why_not else "info"
             self.life.event("sonic-unsent", severity=severity, reason=why_not, ended=not why_not, unsent=self._unsent)
             self._why_unsent = why_not
