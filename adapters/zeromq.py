@@ -96,12 +96,11 @@ class Subscriber:
 
     def __init__(self, address: str, topics: Sequence[str], *, clock: Clock = SYSTEM) -> None:
         self._zmq, self._clock = library(), clock
-        self._socket = _opened(self._zmq, self._zmq.SUB)
+        self._socket = open_socket(self._zmq, self._zmq.SUB)
         self._socket.setsockopt(self._zmq.RCVHWM, _BACKLOG)
-        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
         for topic in topics:
             self._socket.setsockopt(self._zmq.SUBSCRIBE, topic.encode())
-        with _told(self._zmq, self._socket, address, "connected to"):
+        with explained(self._zmq, self._socket, address, "connected to"):
             self._socket.connect(address)
         self._looked_s = clock.monotonic_s()
         self._old: tuple[float, float] | None = None  # what is read before the one instant came at the other
@@ -151,12 +150,11 @@ class Publisher:
     def __init__(self, address: str, *, queued: int, kernel_bytes: int) -> None:
         self._zmq = library()
         self.subscribed: set[bytes] = set()
-        self._socket = _opened(self._zmq, self._zmq.XPUB)
+        self._socket = open_socket(self._zmq, self._zmq.XPUB)
         self._socket.setsockopt(self._zmq.SNDHWM, queued)
         self._socket.setsockopt(self._zmq.SNDBUF, kernel_bytes)
         self._socket.setsockopt(self._zmq.XPUB_NODROP, 1)
-        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
-        with _told(self._zmq, self._socket, address, "listened on"):
+        with explained(self._zmq, self._socket, address, "listened on"):
             self._socket.bind(address)
 
     def is_wanted(self, message: bytes) -> bool:
@@ -193,16 +191,19 @@ class Publisher:
         self._socket.close(linger=200)
 
 
-def _opened(zmq: Any, kind: int) -> Any:
+def open_socket(zmq: Any, kind: int) -> Any:
+    """Return a socket that notices a peer whose cable was pulled."""
     made = zmq.Context.instance().socket(kind)
     made.setsockopt(zmq.LINGER, 0)
+    made.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)
     made.setsockopt(zmq.HEARTBEAT_IVL, _BEAT_MS)
     made.setsockopt(zmq.HEARTBEAT_TIMEOUT, _DEAD_MS)
     return made
 
 
 @contextlib.contextmanager
-def _told(zmq: Any, socket: Any, address: str, what: str) -> Iterator[None]:
+def explained(zmq: Any, socket: Any, address: str, what: str) -> Iterator[None]:
+    """Raise `StationError` where an address cannot be bound or connected to, and close the socket."""
     try:
         yield
     except zmq.ZMQError as error:
