@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from adapters.pauses import Pauses
 from station.clock import SYSTEM, Clock
 from station.errors import StationError
 
@@ -25,10 +26,6 @@ MOST_BYTES = 1 << 18
 NOBODY = "nobody hears it"
 """Why a message was not sent that nobody has subscribed to."""
 
-PAUSED_S = 0.1
-"""A process that has not looked for so long stood still [s]."""
-
-_SETTLE_S = 0.05  # in which the library's thread hands over what lay in the kernel
 _BACKLOG = 64  # messages that wait here; more stay with the sender, which then drops its own
 _MOST_READ = 200  # of one look: whoever sends faster does not keep a server from its other work
 _QUEUED = 10  # messages of ours that wait for one reader
@@ -95,35 +92,29 @@ class Subscriber:
     """
 
     def __init__(self, address: str, topics: Sequence[str], *, clock: Clock = SYSTEM) -> None:
-        self._zmq, self._clock = library(), clock
+        self._zmq = library()
         self._socket = open_socket(self._zmq, self._zmq.SUB)
         self._socket.setsockopt(self._zmq.RCVHWM, _BACKLOG)
         for topic in topics:
             self._socket.setsockopt(self._zmq.SUBSCRIBE, topic.encode())
         with explained(self._zmq, self._socket, address, "connected to"):
             self._socket.connect(address)
-        self._looked_s = clock.monotonic_s()
-        self._old: tuple[float, float] | None = None  # what is read before the one instant came at the other
+        self._pauses = Pauses(clock)
 
     def receive(self, timeout_s: float) -> Iterator[tuple[bytes, float]]:
         """Yield messages and when they came [s], once one is there or a time has passed [s]."""
-        began_s = self._clock.monotonic_s()
+        self._pauses.begin()
         self._socket.poll(round(timeout_s * 1e3))
-        now_s = self._clock.monotonic_s()
-        if began_s - self._looked_s > PAUSED_S:
-            self._old = now_s + _SETTLE_S, self._looked_s
-        elif now_s - began_s > timeout_s + PAUSED_S:  # it stood still while it waited
-            self._old = now_s + _SETTLE_S, began_s
+        self._pauses.end(timeout_s)
+        is_empty = False
         for _ in range(_MOST_READ):
             try:
                 parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
-                if self._old is not None and self._clock.monotonic_s() > self._old[0]:
-                    self._old = None
+                is_empty = True
                 break
-            yield b"".join(parts), self._clock.monotonic_s() if self._old is None else self._old[1]
-            self._looked_s = self._clock.monotonic_s()
-        self._looked_s = self._clock.monotonic_s()
+            yield b"".join(parts), self._pauses.came_s()
+        self._pauses.done(is_empty=is_empty)
 
     def close(self) -> None:
         """Hang up."""
