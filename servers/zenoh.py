@@ -34,7 +34,7 @@ from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.config import to_plain
 from station.control.foreign_commander import ForeignCommander
-from station.control.foreign_stream import Arrived, Dropped, ForeignStream
+from station.control.foreign_stream import Arrived, Dropped, ForeignStream, why_not_as_described
 from station.errors import BusError, StationError
 from station.life.server import Life, ServerKind
 
@@ -230,31 +230,12 @@ class Incoming:
         """Return what makes a write of a value of a key."""
 
         def write(value: bytes, _: float) -> dict[str, bytes] | Dropped:
-            return self._why_not(key, value) or {key: value}
+            if len(value) > MOST_BYTES:
+                return Dropped("too-long", f"{len(value)} bytes, expected at most {MOST_BYTES}")
+            contract = self._contracts.get(key)
+            return (None if contract is None else why_not_as_described(value, contract)) or {key: value}
 
         return write
-
-    def _why_not(self, key: str, value: bytes) -> Dropped | None:
-        if len(value) > MOST_BYTES:
-            return Dropped("too-long", f"{len(value)} bytes, expected at most {MOST_BYTES}")
-        contract = self._contracts.get(key)
-        if contract is None:
-            return None
-        kind = contract.vector_codec
-        try:
-            if kind is not None:
-                vector = codec.parse_vector(kind, value)
-                if contract.elements and len(vector) != len(contract.elements):
-                    expected = len(contract.elements)
-                    return Dropped("wrong-length", f"{len(vector)} numbers, expected {expected} of {key}")
-                if not all(map(math.isfinite, vector.tolist())):
-                    return Dropped("not-finite", f"a number of {key} is not finite")
-            elif contract.codec == "json":
-                codec.parse_json(value)
-        except codec.BadValue as error:
-            kind_of = "not-finite" if isinstance(error, codec.BadNumber) else "bad-value"
-            return Dropped(kind_of, f"{key}: {error}")
-        return None
 
 
 class Outgoing:

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from station.bus import codec
+from station.contract import Contract
 from station.control.command_arbiter import CommandArbiter
 from station.control.command_validator import Refusal, check_command
 from station.life.events import Severity
@@ -69,6 +71,24 @@ def why_no_command(data: bytes, command_format: CommandFormat) -> Dropped | None
     """Return why a robot would not take the bytes of a command, or None."""
     checked = check_command(data, command_format)
     return Dropped(checked.kind, checked.text) if isinstance(checked, Refusal) else None
+
+
+def why_not_as_described(value: bytes, contract: Contract) -> Dropped | None:
+    """Return why a value is not what the contract of its key says, or None: numbers, as many, all finite; JSON."""
+    kind = contract.vector_codec
+    try:
+        if kind is not None:
+            vector = codec.parse_vector(kind, value)
+            if contract.elements and len(vector) != len(contract.elements):
+                expected = len(contract.elements)
+                return Dropped("wrong-length", f"{len(vector)} numbers, expected {expected} of {contract.key}")
+            if not all(map(math.isfinite, vector.tolist())):
+                return Dropped("not-finite", f"a number of {contract.key} is not finite")
+        elif contract.codec == "json":
+            codec.parse_json(value)
+    except codec.BadValue as error:
+        return Dropped("not-finite" if isinstance(error, codec.BadNumber) else "bad-value", f"{contract.key}: {error}")
+    return None
 
 
 class ForeignStream:

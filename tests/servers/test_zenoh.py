@@ -147,6 +147,7 @@ def test_a_value_is_as_old_as_its_stamp_says_and_a_gap_in_the_count_is_told(
     with contextlib.closing(Peer(endpoint)) as peer:
         good, seq = codec.json_vector([0.5, 0.0, 0.1]), iter(range(1, 10_000))
         bridge.until(lambda: [peer.put(WALK, good, own_stamp(next(seq)))] and bridge.written[WALK])
+        bridge.until(lambda: bridge.told("zenoh-live"))
         assert bridge.told("zenoh-live")[0].detail["sender"] == "rio"
         bridge.until(
             lambda: (
