@@ -161,7 +161,7 @@ class Incoming:
     def __init__(self, life: Life, session: zenoh.Session, config: ZenohConfig) -> None:
         self._life, self._clock = life, life.clock
         self._contracts, self._described_s = Contracts(), -math.inf
-        self._waiting = queue.Queue[tuple[str, bytes, bytes]](_WAITING)
+        self._waiting = queue.SimpleQueue[tuple[str, bytes, bytes]]()
         self._pauses, self._not_for_us = Pauses(life.clock), Counter[str]()
         self._counts: dict[str, tuple[str, int]] = {}
         self._missing = 0
@@ -178,12 +178,12 @@ class Incoming:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         """Keep a value; called by the library's threads."""
+        if self._waiting.qsize() >= _WAITING:
+            self._not_for_us["too many at once"] += 1
+            return
         attachment = sample.attachment
         mark = b"" if attachment is None else attachment.to_bytes()
-        with contextlib.suppress(queue.Full):
-            self._waiting.put_nowait((str(sample.key_expr), sample.payload.to_bytes(), mark[: _LONGEST_STAMP + 1]))
-            return
-        self._not_for_us["too many at once"] += 1
+        self._waiting.put((str(sample.key_expr), sample.payload.to_bytes(), mark[: _LONGEST_STAMP + 1]))
 
     def _receive(self, timeout_s: float) -> Iterator[tuple[str, Arrived]]:
         self._describe()

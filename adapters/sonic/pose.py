@@ -21,7 +21,7 @@ import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.robots.g1.joints import FROM_ISAAC, G1_29, LEGS, TO_ISAAC
-from adapters.robots.g1.kinematics import SOLE_POINTS, forward
+from adapters.robots.g1.kinematics import soles
 from adapters.sonic.message import BadMessage, Message, pack
 from station.protocols import Floats, Reference
 from station.rotations import from_roll_pitch_yaw, inverse, multiply, normalized, rotate_inverse, rotation_vector
@@ -41,7 +41,6 @@ _INTEGERS = ("i32", "i64")
 _MOST_MISSING = 10  # frames between two, over which a velocity still says something
 _STANCE_M = 0.01  # points that are so near to the lowest one are on the ground
 _SMOOTHED_S = 0.06  # of the velocity over ground, which a difference of two frames shakes
-_SOLES = ("left_ankle_roll", "right_ankle_roll")
 
 
 class Frame:
@@ -55,8 +54,7 @@ class Frame:
 
     def __init__(self, index: int, quat_wxyz: Floats, q: Floats) -> None:
         self.index, self.quat_wxyz, self.q = index, quat_wxyz, q
-        links = forward(np.zeros((1, 3)), quat_wxyz[None], q[None, : len(LEGS)])
-        self.soles: Floats = np.concatenate([links.points(foot, SOLE_POINTS)[0] for foot in _SOLES])
+        self.soles: Floats = soles(quat_wxyz, q[: len(LEGS)])
         """Lowest points of the feet from the root, in the stream's world, shape (8, 3) [m]."""
 
     @property

@@ -5,6 +5,7 @@ A stream that falls silent writes nothing more; the gate of the robot does the r
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -42,9 +43,12 @@ class ForeignCommander:
 
     def run(self) -> None:
         """Pass on what comes until the server is asked to stop."""
+        told_s = -math.inf
         while not self._life.stopping:
             self._pass_on(self._receive(_LOOK_S))
-            now_s = self._clock.monotonic_s()
+            if (now_s := self._clock.monotonic_s()) - told_s < _LOOK_S:
+                continue
+            told_s = now_s
             for stream in self._streams.values():
                 for name, severity, detail in stream.on_tick(now_s):
                     self._life.event(name, severity=severity, **detail)

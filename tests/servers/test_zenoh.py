@@ -30,12 +30,14 @@ FAR = keys.action("velocity_go2")
 
 
 class Peer:
-    """A peer that connects to the bridge."""
+    """A peer that connects to the bridge, or listens itself."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, *, listens: bool = False) -> None:
+        there = f'["{endpoint}"]'
         config = zenoh.Config()
         for name, value in {
-            "mode": '"peer"', "connect/endpoints": f'["{endpoint}"]', "listen/endpoints": "[]",
+            "mode": '"peer"', "connect/endpoints": "[]" if listens else there,
+            "listen/endpoints": there if listens else "[]",
             "scouting/multicast/enabled": "false", "scouting/gossip/enabled": "false",
             "connect/timeout_ms": "-1", "connect/exit_on_failure": "false",
         }.items():  # fmt: skip
