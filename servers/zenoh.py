@@ -98,7 +98,7 @@ def main(config: ZenohConfig, life: Life) -> int:
     """Pass values on until asked to stop; return the exit code."""
     with contextlib.ExitStack() as stack:
         session = _open(config)
-        stack.callback(session.close)
+        stack.callback(_close, session, life)
         facts = {"publish": list(config.publish), "accept": list(config.accept), "config": to_plain(config)}
         life.configured({"server": life.name, "role": KIND.role, **facts})
         if not life.ready():
@@ -147,6 +147,14 @@ def _open(config: ZenohConfig) -> zenoh.Session:
         raise StationError(
             f"Zenoh: {why}; expected an address of this computer and a port that is free: --set listen={ENDPOINT}"
         ) from None
+
+
+def _close(session: Any, life: Life) -> None:
+    """Close a session; where the library does not come back from that the server ends all the same."""
+    closing = life.clock.start(session.close, "zenoh-close")
+    life.clock.join(closing, _CLOSED_S)
+    if closing.is_alive():
+        life.event("zenoh-not-closed", severity="warning", reason=f"not within {_CLOSED_S:g} s")
 
 
 class Incoming:

@@ -53,7 +53,17 @@ class BridgeStation(OneServer):
 
     def launch(self, *, inside: Sequence[str] = (), url: str = "", **settings: Any) -> None:
         """Start the server."""
-        command = [*inside, sys.executable, "-c", RUN, self.kind, url or self._address.url, json.dumps(settings)]
+        command = [
+            *inside,
+            sys.executable,
+            "-X",
+            "faulthandler",
+            "-c",
+            RUN,
+            self.kind,
+            url or self._address.url,
+            json.dumps(settings),
+        ]
         with self._words.open("wb") as stderr:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr)
 
@@ -68,7 +78,12 @@ class BridgeStation(OneServer):
     def interrupt(self) -> int:
         """Press Ctrl-C; return the exit code, once what was written until then is read."""
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(DEADLINE_S)
+        try:
+            code = self.process.wait(DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal.SIGABRT)  # it says where each of its threads is
+            self.process.wait()
+            raise AssertionError(self._words.read_text()) from None
         self._take()
         return code
 

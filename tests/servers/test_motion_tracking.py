@@ -138,8 +138,8 @@ def test_an_answer_from_before_the_bridge_stood_still_is_stale(bridge: BridgeSta
             bridge.process.send_signal(signal.SIGSTOP)
             time.sleep(0.15)
             bridge.process.send_signal(signal.SIGCONT)
-            time.sleep(0.05)
-            return "stale" in bridge.detail["streams"]["poses"]["dropped"]
+            time.sleep(0.1)
+            return any("stale" in event.detail.get("reason", "") for event in bridge.told("motion-tracking-refused"))
 
         bridge.until(is_stale)
         passed = bridge.detail["streams"]["poses"]["passed"]

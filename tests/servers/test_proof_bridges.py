@@ -29,7 +29,7 @@ from tests.servers.test_zenoh import Peer
 
 RATE_HZ, SECONDS, ROUNDS = 100.0, 6.0, 3
 P50_MS, CPU_PERCENT = 0.3, 5.0
-POSE_MS = 1.0
+POSE_MS = 2.0
 """Of a pose: the height and the velocity of its root are those of its feet, by kinematics."""
 
 AHEAD = (1.0, 0.0, 0.0)
