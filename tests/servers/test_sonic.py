@@ -369,7 +369,7 @@ def test_their_robot_that_comes_and_goes_is_told_of(
     bridge.until(lambda: bridge.told("sonic-not-heard"))
     with contextlib.closing(Theirs(zmq.SUB, address)) as again:
         bridge.until(lambda: [again.hear()] and again.plans)
-        assert len(bridge.told("sonic-heard")) == 2
+        bridge.until(lambda: len(bridge.told("sonic-heard")) == 2)
         assert again.orders == [], "a robot that comes back is not started by itself"
 
 
