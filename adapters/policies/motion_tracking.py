@@ -38,7 +38,7 @@ from adapters.policies.follower import LastOutput, gravity, joined
 from adapters.policies.heading import rate, within_reach
 from adapters.policies.history import FrameHistory
 from adapters.policies.onnx_network import OnnxNetwork, open_session
-from adapters.robots.g1.joints import G1_29, JOINTS
+from adapters.robots.g1.joints import FROM_ISAAC, G1_29, JOINTS, TO_ISAAC
 from adapters.robots.g1.kinematics import about, matrix
 from station.assets import sha256
 from station.errors import BadFile, ConfigError
@@ -54,10 +54,6 @@ _OUTPUTS = 3
 _JOINTS_AT, _OUTPUTS_AT = 362, 536
 _HEADING = COMMANDS * len(FORMAT.elements)  # behind what the network sees
 _JOINTS = slice(6, None)  # of a command
-_TO_ISAAC = [
-    0, 6, 12, 1, 7, 13, 2, 8, 14, 3, 9, 15, 22, 4, 10, 16, 23, 5, 11, 17, 24, 18, 25, 19, 26, 20, 27, 21, 28,
-]  # fmt: skip
-_FROM_ISAAC = np.argsort(_TO_ISAAC)
 
 _LEG = (-0.28, 0.0, 0.0, 0.5, -0.23, 0.0)
 _ARM, _OTHER_ARM = ((0.35, roll, 0.0, 0.87, 0.0, 0.0, 0.0) for roll in (0.16, -0.16))
@@ -115,7 +111,7 @@ class MotionTrackingPolicy(LastOutput):
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation, shape (1306,), of the state of the 29 joints and a command of TWIST2, shape (35,)."""
-        given, q = command.astype(np.float32), state.q[_TO_ISAAC].astype(np.float32)
+        given, q = command.astype(np.float32), state.q[TO_ISAAC].astype(np.float32)
         looks = float(roll_pitch_yaw(state.quat_wxyz)[2])
         if self._heading is None:
             self._commands.fill(np.tile(given, COMMANDS))
@@ -138,7 +134,7 @@ class MotionTrackingPolicy(LastOutput):
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return default + scale x the clipped output; nothing of the command bypasses the network."""
-        offsets = np.clip(action.astype(np.float64), -_CLIP, _CLIP)[_FROM_ISAAC]
+        offsets = np.clip(action.astype(np.float64), -_CLIP, _CLIP)[FROM_ISAAC]
         return JointTargets(DEFAULT_Q + _SCALE * offsets, self._spec.kp, self._spec.kd)
 
     def restore(self, observation: Floats32) -> None:
@@ -174,7 +170,7 @@ def _reference(commands: Floats, heading: float) -> tuple[Floats, Floats, Floats
     position = STEP_S * (np.cumsum(velocity, axis=0) - velocity[0])
     position[:, 2] = height
     ahead = list(AHEAD)
-    return position[ahead], rotation[ahead], commands[ahead][:, _JOINTS][:, _TO_ISAAC]
+    return position[ahead], rotation[ahead], commands[ahead][:, _JOINTS][:, TO_ISAAC]
 
 
 def _turns(commands: Floats) -> Floats:

@@ -92,6 +92,7 @@ class Watch:
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
         self._changed = threading.Condition()
+        self._puts = 0
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
@@ -128,6 +129,20 @@ class Watch:
         with self._changed:
             self.clock.wait_for(self._changed, lambda: newer() or self._closed.is_set(), timeout_s)
             return self._slots[key] if newer() else None
+
+    def wait_any(self, after: int, timeout_s: float) -> int:
+        """Block until anything was read of any key after a count of such reads, or for a time [s].
+
+        Args:
+            after: What the last call returned; at first 0.
+            timeout_s: The time.
+
+        Returns:
+            The count now.
+        """
+        with self._changed:
+            self.clock.wait_for(self._changed, lambda: self._puts != after or self._closed.is_set(), timeout_s)
+            return self._puts
 
     def close(self) -> None:
         """Stop watching."""
@@ -299,6 +314,7 @@ class Watch:
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
         known = self._slots.get(key)
+        self._puts += 1
         if value is None:
             self._slots.pop(key, None)
         elif known is None or mark != self._newest_mark.get(key):

@@ -149,7 +149,15 @@ PAGES = {
     }, has_upstream_data=False),
     "docs/lcm.md": Page({
         "station up": Typed(elsewhere="tests/main_job/test_lcm.py"),
-        "XDG_RUNTIME_DIR": Typed(elsewhere="tests/main_job/test_lcm.py"),
+    }, has_upstream_data=False),
+    "docs/zmq.md": Page({
+        "pip install": _INSTALLS,
+        "station up": Typed(elsewhere="tests/main_job/test_sonic.py"),
+        "station serve picture-stream": Typed(elsewhere="tests/servers/test_picture_stream.py, on an address of here"),
+    }, has_upstream_data=False),
+    "docs/zenoh.md": Page({
+        "pip install": _INSTALLS,
+        "station serve zenoh": Typed(elsewhere="tests/servers/test_zenoh.py, beside a bus"),
     }, has_upstream_data=False),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,

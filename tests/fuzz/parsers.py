@@ -23,6 +23,7 @@ import numpy as np
 import rerun as rr
 from rich.console import Console, RenderableType
 
+from adapters import pose_server
 from adapters.cameras.mujoco_robot import MujocoCamera
 from adapters.commands import twist, twist2
 from adapters.commands.arm import arm_command
@@ -39,6 +40,9 @@ from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.dds import words
+from adapters.sonic import message as sonic_message
+from adapters.sonic import planner as sonic_planner
+from adapters.sonic import pose as sonic_pose
 from station import depth, point_cloud
 from station.api.live import Record, Station
 from station.bus import clocks, codec, contracts, keys, stamp
@@ -51,6 +55,7 @@ from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
 from station.control.command_validator import CommandSample, CommandValidator, check_command
 from station.control.envelope import Envelope, Ranges, Span, stated
+from station.control.foreign_stream import why_not_as_described
 from station.control.stop_trace import StopTrace
 from station.enrich.live import LiveKey, written_wall_ns
 from station.enrich.scalars import Shape
@@ -802,4 +807,57 @@ def _lcm() -> list[Parser]:
     return [Parser("LCM's datagram", came, valid, modules, (lcm_packet.BadPacket, BadMessage))]
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm()]
+def _zeromq() -> list[Parser]:
+    """Messages of bridges over ZeroMQ and Zenoh, of whoever publishes where they are connected to."""
+
+    def ordered(data: bytes) -> None:
+        sonic_planner.order_of(sonic_message.parse(sonic_planner.COMMAND, data))
+
+    def planned(data: bytes) -> None:
+        found = sonic_planner.planned_of(sonic_message.parse(sonic_planner.PLANNER, data))
+        sonic_planner.PlannedVelocity(has_height=True).command(found, 0.0)
+
+    def posed(data: bytes) -> None:
+        sonic_pose.PosedMotion().command(sonic_pose.frame_of(sonic_message.parse(sonic_pose.POSE, data)))
+
+    def asked(data: bytes) -> None:
+        pose_server.PosedRobot().command(pose_server.parse_pose(data).qpos, 0.0)
+
+    def accepted(data: bytes) -> None:
+        stamp.decode(data[:512])
+        for each in described:
+            why_not_as_described(data, each)
+
+    described = [found for key in ("action_velocity_g1_29", "command_gate_g1_29", "policy_obs_g1_29")
+                 if (found := contracts.contract(key)) is not None]  # fmt: skip
+    ahead, bad = (1.0, 0.0, 0.0), (sonic_message.BadMessage,)
+    order = sonic_planner.Order(start=True, stop=False, is_planner=True)
+    qpos = np.array([0, 0, 0.8, 1, 0, 0, 0, *twist2.FORMAT.default[6:]], np.float32).tobytes()
+    modules = ("adapters.sonic.message",)
+    return [
+        Parser(
+            "value of a peer", accepted, (b"[0.3, 0.0, 0.1]", b'{"state": "tracking"}', np.zeros(8).tobytes()),
+            ("servers.zenoh", "station.control.foreign_stream"),
+        ),
+        Parser("SONIC's order", ordered, (sonic_planner.pack_order(order),), modules, bad),
+        Parser(
+            "SONIC's plan", planned, (sonic_planner.pack_planned(sonic_planner.Planned(1, ahead, ahead, 0.5)),),
+            (*modules, "adapters.sonic.planner"), bad,
+        ),
+        Parser(
+            "SONIC's pose", posed, (sonic_pose.StreamedPose().pack(twist2.FORMAT.default, 0.02),),
+            (*modules, "adapters.sonic.pose"), bad,
+        ),
+        Parser(
+            "motion_tracking's pose", asked, (b'{"start": true, "num_frames": 1, "qpos_size": 36}\0' + qpos,),
+            ("adapters.pose_server",), (pose_server.BadPose,),
+        ),
+        Parser(
+            "motion_tracking's buttons", lambda data: pose_server.parse_buttons(data) and None,
+            (b'{"t_ms": 1, "controller_buttons": {"right_key_one": true, "left_key_one": false}}',),
+            ("adapters.pose_server",), (pose_server.BadPose,),
+        ),
+    ]  # fmt: skip
+
+
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm(), *_zeromq()]

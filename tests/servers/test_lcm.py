@@ -21,14 +21,15 @@ import pytest
 
 from adapters.lcm import types
 from adapters.lcm.homie import STATE_CHANNEL, command_of, routes
-from adapters.lcm.multicast import GROUP, PORT, Received
+from adapters.lcm.multicast import GROUP, PORT
 from adapters.lcm.packet import datagrams
-from servers.lcm import LATE_S, SILENT_S, ChannelIntake, LcmConfig
+from servers.lcm import ChannelIntake, LcmConfig
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.config import build
+from station.control.foreign_stream import LATE_S, SILENT_S, Arrived
 from station.errors import ConfigError
 from tests.adapters.lcm.library import expect_library
 from tests.adapters.lcm.loopback import multicast_loopback
@@ -40,7 +41,7 @@ from tests.waiting import wait_until
 
 LEGS = keys.action("velocity-height_g1_29_legs")
 LEFT, RIGHT = (keys.action_joints(f"g1_29_{side}_arm") for side in ("left", "right"))
-A, B = ("127.0.0.1", 1001), ("127.0.0.1", 1002)
+A, B = "127.0.0.1:1001", "127.0.0.1:1002"
 WALK = [0.5, 0.1, 0.2, 0.6]
 
 
@@ -62,8 +63,8 @@ def intake(channel: str = "arm_action", *, hands: bool = True) -> ChannelIntake:
     return ChannelIntake(next(route for route in found if route.channel.name == channel))
 
 
-def came(data: bytes, at_s: float, sender: tuple[str, int] = A) -> Received:
-    return Received("", data, sender, round(at_s * 1e9))
+def came(data: bytes, at_s: float, sender: str = A) -> Arrived:
+    return Arrived(data, sender, at_s)
 
 
 def names(of: ChannelIntake, now_s: float) -> list[str]:

@@ -56,6 +56,10 @@ JOINTS: tuple[Joint, ...] = (
 G1_29 = tuple(joint.name for joint in JOINTS)
 """Their names; TWIST2's joints."""
 
+TO_ISAAC = [0, 6, 12, 1, 7, 13, 2, 8, 14, 3, 9, 15, 22, 4, 10, 16, 23, 5, 11, 17, 24, 18, 25, 19, 26, 20, 27, 21, 28]
+FROM_ISAAC = sorted(range(len(TO_ISAAC)), key=TO_ISAAC.__getitem__)
+"""Indices into the one order, in the other: ``q[TO_ISAAC]`` is in Isaac Lab's, level by level from the base on."""
+
 LEGS = G1_29[:12]
 WAIST = G1_29[12:15]
 

@@ -159,6 +159,25 @@ def forward(root_pos: Floats, root_quat_wxyz: Floats, q: Floats) -> LinkPoses:
     return LinkPoses(position, rotation)
 
 
+def soles(root_quat_wxyz: Floats, q_legs: Floats) -> Floats:
+    """Return the lowest points of both feet from the root, in the world of its orientation, shape (8, 3) [m].
+
+    As `forward` does of one frame, both legs at once: in half of the time, for what comes a hundred times a second.
+
+    Args:
+        root_quat_wxyz: Orientation of the pelvis, a unit quaternion, shape (4,).
+        q_legs: The first joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (12,) [rad].
+    """
+    q = q_legs.reshape(2, 6, 1, 1)
+    turned = _LEGS[0] + np.sin(q) * _LEGS[1] + np.cos(q) * _LEGS[2]
+    position, rotation = _LEGS_AT[:, 0], turned[:, 0]
+    for index in range(1, 6):
+        position = position + (rotation @ _LEGS_AT[:, index, :, None])[..., 0]
+        rotation = rotation @ turned[:, index]
+    points = position[:, None] + SOLE_POINTS @ rotation.swapaxes(-1, -2)
+    return np.asarray(points.reshape(-1, 3) @ matrix(root_quat_wxyz).T)
+
+
 def matrix(quat_wxyz: Floats) -> Floats:
     """Return the rotation matrices of unit quaternions, shape (..., 3, 3)."""
     columns = [rotations.rotate(quat_wxyz, axis) for axis in np.eye(3)]
@@ -186,3 +205,5 @@ def turns(links: Sequence[Link]) -> tuple[Floats, Floats, Floats]:
 
 
 _FIXED, _BY_SINE, _BY_COSINE = turns(LINKS[1:])
+_LEGS = [each.reshape(2, 6, 3, 3) for each in turns(LINKS[1:13])]
+_LEGS_AT = _POSITION[1:13].reshape(2, 6, 3)

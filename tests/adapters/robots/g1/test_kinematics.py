@@ -70,3 +70,13 @@ def test_a_turn_about_an_axis_is_that_of_the_quaternion(axis: str) -> None:
     vectors = angles[:, None] * np.eye(3)["xyz".index(axis)]
     expected = kinematics.matrix(rotations.from_rotation_vector(vectors))
     np.testing.assert_allclose(kinematics.about(axis, angles), expected, atol=1e-12)
+
+
+def test_soles_are_where_the_kinematics_of_the_whole_robot_have_them() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        quat, q = rng.normal(size=4), rng.uniform(-1.0, 1.0, 29)
+        quat /= np.linalg.norm(quat)
+        links = kinematics.forward(np.zeros((1, 3)), quat[None], q[None])
+        feet = [links.points(f"{side}_ankle_roll", kinematics.SOLE_POINTS)[0] for side in ("left", "right")]
+        assert kinematics.soles(quat, q[:12]) == pytest.approx(np.concatenate(feet), abs=1e-12)
