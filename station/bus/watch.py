@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from station.bus import keys, stamp
@@ -128,6 +128,15 @@ class Watch:
         with self._changed:
             self.clock.wait_for(self._changed, lambda: newer() or self._closed.is_set(), timeout_s)
             return self._slots[key] if newer() else None
+
+    def wait_for_any(self, seen: Mapping[str, Sample], timeout_s: float) -> None:
+        """Block until a key holds another value than the one that was seen of it, or for a time [s]."""
+
+        def differs() -> bool:
+            return self._closed.is_set() or any(seen.get(key) is not self._slots.get(key) for key in self._keys)
+
+        with self._changed:
+            self.clock.wait_for(self._changed, differs, timeout_s)
 
     def close(self) -> None:
         """Stop watching."""
