@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 NODE = Path(__file__).parents[1] / "bridges/ros2/station_node.py"
 """The node's file."""
 
-HEAD = struct.Struct("<IcHq")
-"""Before each frame: bytes that follow, kind, number of the topic, time [ns]; the node's file says more."""
+HEAD = struct.Struct("<IcHqI")
+"""Before each frame: bytes that follow, kind, number of the topic, time [ns], one more number; the node's file says more."""
 
 SILENT_S = 0.5
 """Whoever has sent nothing for so long on a topic is silent [s]."""
@@ -166,6 +166,7 @@ class Frame(NamedTuple):
     kind: bytes
     number: int
     at_ns: int
+    sender: int
     data: bytes
 
 
@@ -194,9 +195,9 @@ class NodeProcess:
         self.reason = ""
         self._thread = self._clock.start(self._listen, "ros2-node")
 
-    def send(self, kind: bytes, data: bytes, number: int = 0, at_ns: int = 0) -> bool:
+    def send(self, kind: bytes, data: bytes, number: int = 0, at_ns: int = 0, took_us: int = 0) -> bool:
         """Send a frame; return whether the node's pipe took all of it."""
-        frame = memoryview(HEAD.pack(len(data), kind, number, at_ns) + data)
+        frame = memoryview(HEAD.pack(len(data), kind, number, at_ns, took_us) + data)
         until_s = self._clock.monotonic_s() + STILL_S
         with self._sending:
             try:
@@ -240,7 +241,7 @@ class NodeProcess:
 
     def _listen(self) -> None:
         while (head := self._read(HEAD.size)) is not None:
-            size, kind, number, at_ns = HEAD.unpack(head)
+            size, kind, number, at_ns, sender = HEAD.unpack(head)
             data = self._read(size) if size <= _LONGEST else None
             if data is None:
                 break
@@ -248,7 +249,7 @@ class NodeProcess:
             if kind == b"x":
                 self.reason = str(_facts(data).get("reason", ""))
             else:
-                self._on_frame(Frame(kind, number, at_ns, data))
+                self._on_frame(Frame(kind, number, at_ns, sender, data))
         self._signal_all()  # what it started itself; and one whose bytes are no frames
         code = self._process.wait()
         self._out.close()
@@ -286,23 +287,24 @@ class Intake:
 
     def __init__(self, row: SubscribeRow) -> None:
         from adapters.ros2.heard import reader
+        from station.control.command_arbiter import CommandArbiter
         from station.control.command_validator import check_command
 
         self.row, self._check = row, check_command
         self.command = _command(row)
         self._read: Read = reader(row, self.command)
         self.passed, self.dropped = 0, Counter[str]()
+        self._publishers = CommandArbiter("keep-first", SILENT_S)
         self._ages, self._delays = Ages(), Ages()
         self._passed_s = self._refused_s = -math.inf
         self._is_live = False
         self._events: deque[tuple[str, Severity, dict[str, Any]]] = deque()
 
-    def take(self, data: bytes, published_ns: int, now_ns: int, now_s: float, why_not: str = "") -> bytes | None:
+    def take(self, frame: Frame, now_ns: int, now_s: float, why_not: str = "") -> bytes | None:
         """Return the command that a message is, as it stands on the bus, or None.
 
         Args:
-            data: The message.
-            published_ns: When its publisher sent it [ns since the epoch]; 0 where that is unknown.
+            frame: The message, and when its publisher sent it [ns since the epoch].
             now_ns: The instant, by the same clock.
             now_s: The instant, by the monotonic clock.
             why_not: Why no command passes now, in a word; "" where they do.
@@ -314,10 +316,10 @@ class Intake:
             self.dropped[why_not] += 1
             return None
         try:
-            heard = self._read(data)
+            heard = self._read(frame.data)
         except BadMessage as error:
             return self._refuse(error.kind, str(error), now_s)
-        stamp_ns = {"header": heard.stamp_ns or published_ns, "publisher": published_ns, "none": 0}[self.row.stamp]
+        stamp_ns = {"header": heard.stamp_ns or frame.at_ns, "publisher": frame.at_ns, "none": 0}[self.row.stamp]
         age_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else 0.0
         if age_s > self.row.max_age_s:
             return self._refuse("stale", f"it is {age_s:.3g} s old, allowed are {self.row.max_age_s:g} s", now_s)
@@ -328,6 +330,9 @@ class Intake:
         value = codec.json_vector(heard.numbers)
         if isinstance(checked := self._check(value, self.command), Refusal):
             return self._refuse(checked.kind, checked.text, now_s)
+        if frame.sender and not self._publishers.on_write(f"publisher {frame.sender}", now_s):
+            self.dropped["second-publisher"] += 1
+            return None
         if stamp_ns:
             self._ages.add(age_s * 1e3)
         return value
@@ -344,6 +349,12 @@ class Intake:
 
     def on_tick(self, now_s: float) -> Iterator[tuple[str, Severity, dict[str, Any]]]:
         """Yield the events since the last call: name, severity, detail."""
+        self._publishers.know((-math.inf, now_s))
+        for news in self._publishers.pop_news(now_s):
+            severity: Severity = "warning" if news.kind == "rivals" else "info"
+            name = "ros2-handover" if news.kind == "handover" else "ros2-second-publisher"
+            ended = {"ended": True} if news.kind == "alone" else {}
+            self._tell(name, severity, heard=news.obeyed, refused=news.refused, **ended)
         if self._is_live and now_s - self._passed_s > SILENT_S:
             self._is_live = False
             self._tell("ros2-silent", "warning", passed=self.passed, then=f"nothing is written on {self.command.key}")
@@ -457,12 +468,13 @@ class Outlet:
         self.sent, self._before, self._said = 0, self._before + published, {}
 
     def status(self) -> dict[str, Any]:
-        """Return what a heartbeat tells: `age_ms` is from the writing of a value to its publishing; median, most."""
+        """Return what a heartbeat tells: `age_ms` since a value was written until ROS got it, `delay_ms` since
+        it came here; median, most."""
         passed = self._before + int(self._said.get("published", 0))
         dropped = {why: count for why, count in self.dropped.items() if count}
         told = {"key": self.row.key, "passed": passed, "dropped": dropped, "peers": self._said.get("peers", 0)}
         trouble = {"trouble": self.trouble} if self.trouble else {}
-        return told | trouble | {name: self._said[name] for name in ("age_ms",) if name in self._said}
+        return told | trouble | {name: self._said[name] for name in ("age_ms", "delay_ms") if name in self._said}
 
 
 class Bridge:
@@ -636,15 +648,19 @@ class Bridge:
             for outlet in self._by_key.get(key, ()):
                 made = outlet.message(sample, now_ns, written_ns, is_stopped=self._is_stopped)
                 if made is not None:
-                    self._send(node, outlet, made, written_ns)
+                    self._send(node, outlet, made, written_ns, sample.delay_s or 0.0)
         for event in () if self._feed is None else self._feed.pop():
             for outlet in self._told:
                 self._send(node, outlet, _diagnostics(event), event.wall_ns)
 
-    def _send(self, node: NodeProcess | None, outlet: Outlet, data: bytes, written_ns: int) -> None:
+    def _send(
+        self, node: NodeProcess | None, outlet: Outlet, data: bytes, written_ns: int, delay_s: float = 0.0
+    ) -> None:
         if node is None or node.is_over.is_set() or not self._ros:
             outlet.dropped["no-node"] += 1
-        elif node.send(b"m", data, self.outlets.index(outlet), written_ns):
+        elif node.send(
+            b"m", data, self.outlets.index(outlet), written_ns, round(min(max(delay_s, 0.0), 1e3) * 1e6)
+        ):
             outlet.sent += 1
         else:
             outlet.dropped["with-the-node"] += 1
@@ -670,7 +686,7 @@ class Bridge:
         """Write the command that a message is."""
         came_s = self._clock.monotonic_s()
         why_not = "" if self._is_running and self._engaged else "not-engaged"
-        value = intake.take(frame.data, frame.at_ns, self._clock.wall_ns(), came_s, "stopped" if self._is_stopped else why_not)
+        value = intake.take(frame, self._clock.wall_ns(), came_s, "stopped" if self._is_stopped else why_not)
         if value is None:
             return
         source = codec.json_object({"kind": "ros2", "topic": intake.row.topic})

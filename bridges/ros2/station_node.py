@@ -36,8 +36,9 @@ import threading
 import time
 from collections import deque
 
-HEAD = struct.Struct("<IcHq")
-"""Bytes that follow, kind, number of the topic, time [ns]."""
+HEAD = struct.Struct("<IcHqI")
+"""Bytes that follow, kind, number of the topic, time [ns]; to the node how long after that the value came to the server
+[us], to the server which publisher it is, from 1 (0 where that is unknown)."""
 
 BEAT_S = 0.2
 ENDS, END_EVERY_S = 10, 0.02
@@ -46,6 +47,7 @@ ENDS, END_EVERY_S = 10, 0.02
 ANSWER_S = 15.0
 """Longest wait for the station's answer to a service call [s]."""
 
+WAIT_NS = 100_000_000
 _KEPT = 200  # newest ages of which a heartbeat says the median
 _LONGEST = 64 << 20  # bytes of a frame
 
@@ -58,19 +60,19 @@ class Line:
         self._lock = threading.Lock()
 
     def receive(self):
-        """Return the next frame: kind, number, time, bytes; None at the end."""
+        """Return the next frame: kind, number, time, how long after that it came [us], bytes; None at the end."""
         head = self._source.read(HEAD.size)
         if len(head) < HEAD.size:
             return None
-        size, kind, number, at_ns = HEAD.unpack(head)
+        size, kind, number, at_ns, took_us = HEAD.unpack(head)
         if size > _LONGEST:
             return None
         data = self._source.read(size)
-        return (kind, number, at_ns, data) if len(data) == size else None
+        return (kind, number, at_ns, took_us, data) if len(data) == size else None
 
-    def send(self, kind, data, number=0, at_ns=0):
+    def send(self, kind, data, number=0, at_ns=0, sender=0):
         """Write a frame, whole, as soon as the server takes it."""
-        frame = HEAD.pack(len(data), kind, number, at_ns) + data
+        frame = HEAD.pack(len(data), kind, number, at_ns, sender) + data
         with self._lock:
             while frame:
                 frame = frame[os.write(self._target, frame) :]
@@ -96,18 +98,20 @@ class Outgoing:
         self.topic, self._end, self._after_s = row["topic"], bytes.fromhex(row["end"]), row["end_after_s"]
         self.publisher = node.create_publisher(found(row["type"]), self.topic, qos(row["qos"]))
         self.published, self.ended_by = 0, ""
-        self._ages_ms = deque(maxlen=_KEPT)
+        self._ages_ms, self._delays_ms = deque(maxlen=_KEPT), deque(maxlen=_KEPT)
         self._came_s = self._again_s = 0.0
         self._ends = 0
         self._lock = threading.Lock()
 
-    def publish(self, data, written_ns):
-        """Publish a message whose value was written at an instant [ns]."""
+    def publish(self, data, written_ns, took_us):
+        """Publish a message whose value was written at an instant [ns] and took so long to the server [us]."""
         with self._lock:
             self._came_s, self._ends, self.ended_by = time.monotonic(), 0, ""
+            age_ms = (time.time_ns() - written_ns) * 1e-6
             self.publisher.publish(data)
             self.published += 1
-            self._ages_ms.append((time.time_ns() - written_ns) * 1e-6)
+            self._ages_ms.append(age_ms)
+            self._delays_ms.append(age_ms - took_us * 1e-3)
 
     def end(self, why):
         """Say the last word soon, if the topic has one and is being commanded."""
@@ -132,10 +136,11 @@ class Outgoing:
 
     def facts(self):
         """Return what the server is told."""
-        ages = list(self._ages_ms)
-        age = {"age_ms": [round(statistics.median(ages), 3), round(max(ages), 3)]} if ages else {}
+        with self._lock:
+            kept = {"age_ms": list(self._ages_ms), "delay_ms": list(self._delays_ms)}
+        told = {name: [round(statistics.median(found), 3), round(max(found), 3)] for name, found in kept.items() if found}
         listeners = self.publisher.get_subscription_count()
-        return {"published": self.published, "peers": listeners, "ended_by": self.ended_by, **age}
+        return {"published": self.published, "peers": listeners, "ended_by": self.ended_by, **told}
 
 
 class Incoming:
@@ -143,23 +148,53 @@ class Incoming:
 
     def __init__(self, node, number, row, line):
         self.topic, self._node, self._number, self._line = row["topic"], node, number, line
-        self._expected, self.missed, self.came = 0, 0, 0
+        self.missed, self.came = 0, 0
+        self._newest = {}  # number of the newest message, by publisher
+        self._senders = {}
         self.subscription = node.create_subscription(
-            found(row["type"]), self.topic, self._on_message, qos(row["qos"]), raw=True
+            found(row["type"]), self.topic, lambda _: None, qos(row["qos"]), raw=True
         )
 
-    def _on_message(self, data, info):
+    def take_all(self):
+        """Pass on every message that is there."""
+        handle, kind = self.subscription.handle, self.subscription.msg_type
+        while (taken := handle.take_message(kind, True)) is not None:
+            self._pass_on(*taken)
+
+    def _pass_on(self, data, info):
         self.came += 1
-        count = info.get("publication_sequence_number") or 0
-        if 0 < count - self._expected < 1000 and self._expected and self._node.count_publishers(self.topic) == 1:
-            self.missed += count - self._expected
-        self._expected = count + 1 if count else 0
-        published_ns = info.get("source_timestamp") or 0
-        self._line.send(b"m", bytes(data), self._number, published_ns)
+        gid = info.get("publisher_gid") or b""  # from Kilted on
+        gid = bytes(gid["data"]) if isinstance(gid, dict) else bytes(gid)
+        sender = self._senders.setdefault(gid, len(self._senders) + 1) if gid and len(self._senders) < 1000 else 0
+        count = info.get("publication_sequence_number") or 0  # from Iron on
+        if sender and count:
+            skipped = count - self._newest.get(gid, count) - 1
+            self.missed += max(0, min(skipped, 1000))
+            self._newest[gid] = count
+        self._line.send(b"m", bytes(data), self._number, info.get("source_timestamp") or 0, sender)
 
     def facts(self):
         """Return what the server is told."""
         return {"came": self.came, "missed": self.missed, "peers": self._node.count_publishers(self.topic)}
+
+
+def listen(node, incoming, ended):
+    """Pass on what comes until the node ends: what `rclpy.wait_for_message` does, for several topics, and again.
+
+    An executor of rclpy costs several times as much for each message.
+    """
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    waiting = rclpy_implementation.WaitSet(len(incoming), 0, 0, 0, 0, 0, node.context.handle)
+    while not ended.is_set():
+        waiting.clear_entities()
+        for each in incoming:
+            waiting.add_subscription(each.subscription.handle)
+        waiting.wait(WAIT_NS)
+        ready = waiting.get_ready_entities("subscription")
+        for each in incoming:
+            if each.subscription.handle.pointer in ready:
+                each.take_all()
 
 
 class Services:
@@ -216,19 +251,6 @@ def qos(row):
     )
 
 
-def executor_for(node):
-    """Return what runs a node: the one in C++ where there is one (Kilted), at a third of the cost."""
-    from rclpy.executors import SingleThreadedExecutor
-
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        EventsExecutor = SingleThreadedExecutor  # noqa: N806
-    made = EventsExecutor()
-    made.add_node(node)
-    return made
-
-
 def keep_to_this_computer():
     """Have ROS discover nobody on another computer; which variable says so depends on the release."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # from Iron on
@@ -250,17 +272,16 @@ def run(line, config):
     except ImportError as error:
         raise Unusable(f"{sys.executable} has no rclpy ({error}); source the setup.bash of a ROS 2 first") from None
     rclpy.init(args=[], **without_signals(rclpy))
-    node = rclpy.create_node(config["node"])
+    node = rclpy.create_node(config["node"], start_parameter_services=False)
     outgoing = [Outgoing(node, row) for row in config["publish"]]
     incoming = [Incoming(node, number, row, line) for number, row in enumerate(config["subscribe"])]
-    services, executors = None, [executor_for(node)]
+    services, ended = None, threading.Event()
     if config["services"]:
-        aside = rclpy.create_node(config["node"] + "_services")
+        aside = rclpy.create_node(config["node"] + "_services", start_parameter_services=False)
         services = Services(aside, config["services"], line)
-        executors.append(executor_for(aside))
-    for executor in executors:
-        threading.Thread(target=executor.spin, daemon=True).start()
-    ended = threading.Event()
+        threading.Thread(target=rclpy.spin, args=(aside,), daemon=True).start()
+    if incoming:
+        threading.Thread(target=listen, args=(node, incoming, ended), daemon=True).start()
     threading.Thread(target=hear, args=(line, outgoing, services, ended), daemon=True).start()
     ros = {"distro": os.environ.get("ROS_DISTRO", ""), "rmw": rclpy.get_rmw_implementation_identifier()}
     beat_s = 0.0
@@ -299,9 +320,9 @@ def hear(line, outgoing, services, ended):
     """Do what the server sends until its pipe ends."""
     try:
         while (frame := line.receive()) is not None:
-            kind, number, at_ns, data = frame
+            kind, number, at_ns, took_us, data = frame
             if kind == b"m":
-                outgoing[number].publish(data, at_ns)
+                outgoing[number].publish(data, at_ns, took_us)
             elif kind == b"e":
                 outgoing[number].end("told")
             elif kind == b"r":
@@ -322,7 +343,7 @@ def main():
         print("this is started by Teleop Station: station serve ros2", file=sys.stderr)
         return 2
     try:
-        run(line, json.loads(first[3]))
+        run(line, json.loads(first[-1]))
     except Unusable as error:
         line.say(b"x", reason=str(error))
         return 3
