@@ -450,8 +450,8 @@ class Outlet:
         if (now_ns - (sample.written_ns or sample.arrived_ns)) * 1e-9 > self.row.longest_s:
             self.dropped["stale"] += 1
             return None
-        if self._tell is None:
-            self.dropped["not-described"] += 1
+        if self._tell is None or "trouble" in self._said:
+            self.dropped["no-type" if "trouble" in self._said else "not-described"] += 1
             return None
         made = self._tell(sample.value, written_ns)
         self.dropped["unfit"] += made is None
@@ -460,6 +460,7 @@ class Outlet:
     def heard(self, facts: Mapping[str, Any]) -> None:
         """Take up what the node says of the topic."""
         self._said = dict(facts)
+        self.trouble = str(facts.get("trouble", self.trouble))
 
     def node_is_gone(self) -> None:
         """Account for what the node had and did not publish."""
@@ -503,7 +504,8 @@ class Bridge:
         self._seen: dict[str, Sample] = {}
         self._contracts, self._stated = Contracts(), dict[str, bytes]()
         self._engaged = config.engaged if config.engaged is not None else not table.services.engage
-        self._is_stopped, self._is_running, self._lost_bus = False, False, False
+        self._is_stopped, self._is_running = False, False
+        self._troubles = set[str]()
         self._node: NodeProcess | None = None
         self._gone_s, self._next_s, self._why_gone = 0.0, 0.0, ""
         self._incoming: list[dict[str, Any]] = []
@@ -676,9 +678,10 @@ class Bridge:
                 self._stated[key] = sample.value
                 self._contracts.add_facts(codec.parse_facts(sample.value))
         for outlet in self.outlets:
-            before = outlet.trouble
             outlet.describe(self._contracts)
-            if outlet.trouble and outlet.trouble != before and self._watch.latest(outlet.row.key) is not None:
+            is_written = self._watch.latest(outlet.row.key) is not None
+            if outlet.trouble and is_written and outlet.trouble not in self._troubles:
+                self._troubles.add(outlet.trouble)
                 self._life.event("ros2-row-unfit", severity="warning", reason=outlet.trouble)
 
     # -- From ROS to the bus ------------------------------------------------------------------------------------------

@@ -143,6 +143,38 @@ class Outgoing:
         return {"published": self.published, "peers": listeners, "ended_by": self.ended_by, **told}
 
 
+class LeftOut:
+    """A topic of a type that this ROS installation has not: nothing is published, and that is told."""
+
+    is_ending = False
+
+    def __init__(self, row):
+        package = row["type"].split("/")[0]
+        self._trouble = f"{row['topic']}: {row['type']} is not in this ROS installation; install {package}"
+
+    def publish(self, *_):
+        """Publish nothing."""
+
+    def end(self, why):
+        """Nobody is driven."""
+
+    def on_tick(self):
+        """Nothing is due."""
+
+    def facts(self):
+        """Return what the server is told."""
+        return {"published": 0, "peers": 0, "trouble": self._trouble}
+
+
+def is_there(row):
+    """Whether the type of a topic is in this ROS installation."""
+    try:
+        found(row["type"])
+    except Unusable:
+        return False
+    return True
+
+
 class Incoming:
     """A topic that the station hears."""
 
@@ -273,7 +305,7 @@ def run(line, config):
         raise Unusable(f"{sys.executable} has no rclpy ({error}); source the setup.bash of a ROS 2 first") from None
     rclpy.init(args=[], **without_signals(rclpy))
     node = rclpy.create_node(config["node"], start_parameter_services=False)
-    outgoing = [Outgoing(node, row) for row in config["publish"]]
+    outgoing = [Outgoing(node, row) if is_there(row) else LeftOut(row) for row in config["publish"]]
     incoming = [Incoming(node, number, row, line) for number, row in enumerate(config["subscribe"])]
     services, ended = None, threading.Event()
     if config["services"]:
