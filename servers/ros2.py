@@ -1,9 +1,9 @@
 """The ROS 2 bridge: keys of the bus as topics of a running graph, and topics as commands, by a table.
 
-A node in the user's own ROS Python (``bridges/ros2/station_node.py``) publishes and hears, and this server, which has no
-ROS, does all the rest: what a message says, whether a command is good, what was dropped and how old what passed was. They
-share two pipes and ROS's own bytes. A node that dies or stands still is told of, killed and started again; what is silent
-on one side is silent on the other, and a topic that drives somebody ends with zeros, which the node itself sends.
+A node in the user's own ROS Python (``bridges/ros2/station_node.py``) publishes and hears, and this server, which has
+no ROS, does all the rest: what a message says, whether a command is good, what was dropped and how old what passed was.
+They share two pipes and ROS's own bytes. A node that dies or stands still is told of, killed and started again; what is
+silent on one side is silent on the other, and a topic that drives somebody ends with zeros, which the node sends.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ NODE = Path(__file__).parents[1] / "bridges/ros2/station_node.py"
 """The node's file."""
 
 HEAD = struct.Struct("<IcHqI")
-"""Before each frame: bytes that follow, kind, number of the topic, time [ns], one more number; the node's file says more."""
+"""Before each frame: bytes that follow, kind, number of the topic, time [ns], a number; the node's file says more."""
 
 SILENT_S = 0.5
 """Whoever has sent nothing for so long on a topic is silent [s]."""
@@ -78,7 +78,7 @@ class Ros2Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         python: Python of the ROS installation, 3.10 or newer, with words before it for one elsewhere, such as
             ``docker exec -i ros python3``.
         setup: File to source before it, such as ``/opt/ros/jazzy/setup.bash``; "" where that was done.
-        node: Name of the node in ROS; the file that it runs where `python` runs it, if not on this computer, behind an @:
+        node: Name of the node in ROS; where `python` runs in a container, behind an @ where the node's file is there:
             ``station@/bridge/station_node.py``.
         domain_id: ROS domain; None for that of the environment, or 0.
         localhost: Whether it meets only nodes on this computer; false leaves that to ROS and its environment variables.
@@ -111,7 +111,9 @@ def _expect(config: Ros2Config) -> None:
     libraries.expect("the ROS 2 bridge", "rosbags", "ros2")
     program = shlex.split(config.python)[0]
     if not config.setup and shutil.which(program) is None:
-        raise StationError(f"python: {program} is no program of this computer; expected the Python of a ROS installation")
+        raise StationError(
+            f"python: {program} is no program of this computer; expected the Python of a ROS installation"
+        )
     if config.setup and not Path(config.setup).is_file():
         raise StationError(f"setup: {config.setup} is no file; expected one such as /opt/ros/jazzy/setup.bash")
     tables.read(config.table)
@@ -274,6 +276,13 @@ def _facts(data: bytes) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+class Dropped(NamedTuple):
+    """Why a message is not passed on: a word, and a sentence."""
+
+    kind: str
+    text: str
+
+
 class Intake:
     """Which message of a topic becomes a command, and why another does not. No socket, no bus, no clock.
 
@@ -309,31 +318,22 @@ class Intake:
             now_s: The instant, by the monotonic clock.
             why_not: Why no command passes now, in a word; "" where they do.
         """
-        from adapters.ros2.heard import BadMessage
-        from station.control.command_validator import Refusal
 
         if why_not:
             self.dropped[why_not] += 1
             return None
-        try:
-            heard = self._read(frame.data)
-        except BadMessage as error:
-            return self._refuse(error.kind, str(error), now_s)
-        stamp_ns = {"header": heard.stamp_ns or frame.at_ns, "publisher": frame.at_ns, "none": 0}[self.row.stamp]
-        age_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else 0.0
-        if age_s > self.row.max_age_s:
-            return self._refuse("stale", f"it is {age_s:.3g} s old, allowed are {self.row.max_age_s:g} s", now_s)
-        if age_s < -self.row.max_age_s:
-            return self._refuse("wrong-clock", f"its stamp is {-age_s:.3g} s ahead of this computer's clock", now_s)
-        if not all(map(math.isfinite, heard.numbers)):
-            return self._refuse("not-finite", "a number is not finite", now_s)
-        value = codec.json_vector(heard.numbers)
-        if isinstance(checked := self._check(value, self.command), Refusal):
-            return self._refuse(checked.kind, checked.text, now_s)
+        found = self._judge(frame, now_ns)
+        if isinstance(found, Dropped):
+            self.dropped[found.kind] += 1
+            if self._refused_s == -math.inf:
+                self._tell("ros2-refused", "warning", reason=f"{found.kind}: {found.text}")
+            self._refused_s = now_s
+            return None
         if frame.sender and not self._publishers.on_write(f"publisher {frame.sender}", now_s):
             self.dropped["second-publisher"] += 1
             return None
-        if stamp_ns:
+        value, age_s = found
+        if age_s is not None:
             self._ages.add(age_s * 1e3)
         return value
 
@@ -365,15 +365,30 @@ class Intake:
             yield self._events.popleft()
 
     def status(self) -> dict[str, Any]:
-        """Return what a heartbeat tells: `age_ms` since its stamp, `delay_ms` from the node to the bus; median, most."""
+        """Return what a heartbeat tells: `age_ms` since its stamp, `delay_ms` of that here; median, most."""
         told = {"key": self.command.key, "passed": self.passed, "dropped": dict(self.dropped), "live": self._is_live}
         return told | self._ages.facts("age_ms") | self._delays.facts("delay_ms")
 
-    def _refuse(self, kind: str, text: str, now_s: float) -> None:
-        self.dropped[kind] += 1
-        if self._refused_s == -math.inf:
-            self._tell("ros2-refused", "warning", reason=f"{kind}: {text}")
-        self._refused_s = now_s
+    def _judge(self, frame: Frame, now_ns: int) -> tuple[bytes, float | None] | Dropped:
+        """Return the command that a message is, and how old it is where that is known [s]; or why it is none."""
+        from adapters.ros2.heard import BadMessage
+        from station.control.command_validator import Refusal
+
+        try:
+            heard = self._read(frame.data)
+        except BadMessage as error:
+            return Dropped(error.kind, str(error))
+        stamp_ns = {"header": heard.stamp_ns or frame.at_ns, "publisher": frame.at_ns, "none": 0}[self.row.stamp]
+        age_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else None
+        if age_s is not None and abs(age_s) > self.row.max_age_s:
+            if age_s < 0.0:
+                return Dropped("wrong-clock", f"its stamp is {-age_s:.3g} s ahead of this computer's clock")
+            return Dropped("stale", f"it is {age_s:.3g} s old, allowed are {self.row.max_age_s:g} s")
+        if not all(map(math.isfinite, heard.numbers)):
+            return Dropped("not-finite", "a number is not finite")
+        value = codec.json_vector(heard.numbers)
+        checked = self._check(value, self.command)
+        return Dropped(checked.kind, checked.text) if isinstance(checked, Refusal) else (value, age_s)
 
     def _tell(self, name: str, severity: Severity, **detail: Any) -> None:
         self._events.append((name, severity, {"topic": self.row.topic, **detail}))
@@ -442,7 +457,9 @@ class Outlet:
             missing = sample.stamp.seq - last.stamp.seq - 1 if sample.stamp.source == last.stamp.source else 0
             self.dropped["skipped"] += missing if 0 < missing < _MOST_SKIPPED else 0
         if self.row.drives:
-            silence_s = math.inf if last is None or last.arrived_ns is None else (sample.arrived_ns - last.arrived_ns) * 1e-9
+            silence_s = (
+                math.inf if last is None or last.arrived_ns is None else (sample.arrived_ns - last.arrived_ns) * 1e-9
+            )
             self._blocked = is_stopped or (self._blocked and silence_s < self.row.ends_after_s)
             if self._blocked:  # who commanded through a stop has to cease first
                 self.dropped["stopped"] += 1
@@ -536,7 +553,9 @@ class Bridge:
         while not self._life.stopping and not self._ros:
             self._node.look()
             if self._clock.wait(self._node.is_over, _LOOK_S):
-                raise StationError(f"the node in ROS did not start: {self._node.reason}; expected python and setup of a ROS 2")
+                raise StationError(
+                    f"the node in ROS did not start: {self._node.reason}; expected python and setup of a ROS 2"
+                )
 
     def run(self) -> None:
         """Bridge until the server is asked to stop."""
@@ -660,9 +679,7 @@ class Bridge:
     ) -> None:
         if node is None or node.is_over.is_set() or not self._ros:
             outlet.dropped["no-node"] += 1
-        elif node.send(
-            b"m", data, self.outlets.index(outlet), written_ns, round(min(max(delay_s, 0.0), 1e3) * 1e6)
-        ):
+        elif node.send(b"m", data, self.outlets.index(outlet), written_ns, round(min(max(delay_s, 0.0), 1e3) * 1e6)):
             outlet.sent += 1
         else:
             outlet.dropped["with-the-node"] += 1

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import os
 import subprocess
-import sysconfig
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,10 @@ def ros_python() -> str:
 
 def stock(assets: Path) -> dict[str, str]:
     """Return variables with which stock nodes find what they import beside ROS: torch, NumPy, message_filters."""
-    return {"PYTHONPATH": f"{assets / 'peers'}:{sysconfig.get_path('purelib')}"}
+    torch = importlib.util.find_spec("torch")
+    assert torch is not None
+    assert torch.origin is not None
+    return {"PYTHONPATH": f"{assets / 'peers'}:{Path(torch.origin).parents[1]}"}
 
 
 class Peer:

@@ -106,7 +106,8 @@ def main():
             answer = {"answer": getattr(doer, asked.pop("what"))(**asked)}
         except Exception as error:  # noqa: BLE001  # told to the test
             answer = {"error": repr(error)}
-        print(json.dumps(answer), flush=True)
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ def reader(row: SubscribeRow, command: CommandFormat) -> Read:
     if row.kind == "float32-array":
         return lambda data: _array(data, len(names))
     if names != _PLANAR:
-        raise ConfigError(f"{row.topic}: a {row.kind} holds {', '.join(_PLANAR)}; command {row.command!r} has {', '.join(names)}")
+        raise ConfigError(
+            f"{row.topic}: a {row.kind} holds {', '.join(_PLANAR)}; command {row.command!r} has {', '.join(names)}"
+        )
     return _stamped_twist if row.kind == "twist-stamped" else _twist
 
 
@@ -101,7 +103,11 @@ def _joints(row: SubscribeRow, elements: tuple[str, ...]) -> Read:
     if joints is not None and {*joints.names} != {*ours}:
         odd = sorted({*joints.names} ^ {*ours})
         raise ConfigError(f"{row.topic}: joints.names and command {row.command!r} differ in {', '.join(odd)}")
-    named, offset = (ours, dict.fromkeys(ours, 0.0)) if joints is None else (joints.names, dict(zip(joints.names, joints.offsets, strict=True)))
+    named, offset = (
+        (ours, dict.fromkeys(ours, 0.0))
+        if joints is None
+        else (joints.names, dict(zip(joints.names, joints.offsets, strict=True)))
+    )
     called = dict(zip(named, named if joints is None else joints.ros_names, strict=True))
     scale = 1.0 if joints is None else joints.scale
     wanted = [(called[name], offset[name]) for name in ours]

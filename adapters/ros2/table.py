@@ -108,8 +108,8 @@ class PublishRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         joints: How it has the joints; all that the key has, in its order and in SI units, where it is not said.
         acceleration: What an ``imu`` says of it: what was measured, or which way is down, as a unit vector.
         max_age_s: A value that was written longer ago is not published [s]; 0 for any age.
-        zero_after_s: After so long without a value a ``twist`` of zeros is published [s], also where the station is gone;
-            0 for never.
+        zero_after_s: After so long without a value a ``twist`` of zeros is published [s], also where the station is
+            gone; 0 for never.
         qos: Quality of service.
     """
 
@@ -126,7 +126,7 @@ class PublishRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def __post_init__(self) -> None:
         _expect_topic(self.topic)
         if not self.key.strip() or self.key.endswith("@"):
-            raise ValueError(f"{self.topic}: key is {self.key!r}; expected one that `station status --keys` lists")
+            raise ValueError(f"{self.topic}: key is {self.key!r}; expected one that `station keys` lists")
         _expect_kind(self.topic, self.kind, "joints", self.joints is not None, ("joint-state",))
         _expect_kind(self.topic, self.kind, "acceleration", self.acceleration != "measured", ("imu",))
         _expect_kind(self.topic, self.kind, "zero_after_s", self.zero_after_s is not None, _DRIVES)
@@ -155,7 +155,7 @@ class SubscribeRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     Attributes:
         topic: Its name.
         kind: What its messages are; ``as`` in the file.
-        command: Registered name of the command's format; `station describe` lists them.
+        command: Registered name of the command's format.
         robot: End of the robot's keys, for a format that is for any.
         joints: How it has the joints; those of the command, in SI units, where it is not said.
         stamp: By which time a message is how old: its header's (that of its publisher where it has none, or zero), its

@@ -138,7 +138,9 @@ class Outgoing:
         """Return what the server is told."""
         with self._lock:
             kept = {"age_ms": list(self._ages_ms), "delay_ms": list(self._delays_ms)}
-        told = {name: [round(statistics.median(found), 3), round(max(found), 3)] for name, found in kept.items() if found}
+        told = {
+            name: [round(statistics.median(found), 3), round(max(found), 3)] for name, found in kept.items() if found
+        }
         listeners = self.publisher.get_subscription_count()
         return {"published": self.published, "peers": listeners, "ended_by": self.ended_by, **told}
 
@@ -230,7 +232,7 @@ def listen(node, incoming, ended):
 
 
 class Services:
-    """Calls of services, answered by the station; on a thread and an executor of their own, so that none delays a topic.
+    """Calls of services, answered by the station; on a thread of their own, so that none delays a topic.
 
     Args:
         node: Of ROS, on which nothing else is.
@@ -269,7 +271,9 @@ def found(name):
     try:
         return getattr(importlib.import_module(f"{package}.{kind}"), word)
     except (ImportError, AttributeError) as error:
-        raise Unusable(f"{name} is not in this ROS installation ({error}); install {package}, or leave its row out") from None
+        raise Unusable(
+            f"{name} is not in this ROS installation ({error}); install {package}, or leave its row out"
+        ) from None
 
 
 def qos(row):
@@ -372,7 +376,7 @@ def main():
     line = Line(sys.stdin.buffer, target)
     first = line.receive()
     if first is None or first[0] != b"c":
-        print("this is started by Teleop Station: station serve ros2", file=sys.stderr)
+        sys.stderr.write("this is started by Teleop Station: station serve ros2\n")
         return 2
     try:
         run(line, json.loads(first[-1]))

@@ -151,6 +151,11 @@ PAGES = {
         "station up": Typed(elsewhere="tests/main_job/test_lcm.py"),
         "XDG_RUNTIME_DIR": Typed(elsewhere="tests/main_job/test_lcm.py"),
     }, has_upstream_data=False),
+    "docs/ros2.md": Page({
+        "pip install": _INSTALLS,
+        "station up": Typed(elsewhere="tests/main_job/test_proof_ros2.py"),
+        "ros2 topic": Typed(elsewhere="in a shell with ROS"),
+    }, has_upstream_data=False),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,
         "station up kassow-sim-spacemouse --set": Typed(

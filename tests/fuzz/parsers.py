@@ -29,6 +29,8 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
+from adapters.exports.ros2 import messages as ros_messages_of_bags
+from adapters.exports.ros2 import ros_types
 from adapters.lcm import packet as lcm_packet
 from adapters.lcm import types as lcm_types
 from adapters.lcm.message import BadMessage
@@ -39,6 +41,9 @@ from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.dds import words
+from adapters.ros2 import table as ros2_table
+from adapters.ros2 import told as ros2_told
+from servers.ros2 import Frame, Intake
 from station import depth, point_cloud
 from station.api.live import Record, Station
 from station.bus import clocks, codec, contracts, keys, stamp
@@ -780,4 +785,31 @@ def _lcm() -> list[Parser]:
     return [Parser("LCM's datagram", came, valid, modules, (lcm_packet.BadPacket, BadMessage))]
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm()]
+def _ros2() -> list[Parser]:
+    """Messages of a ROS 2 graph, which anybody in its domain may send, and values that become some."""
+    pilla, go2 = (ros2_table.read(f"builtin:ros2/{name}.yaml") for name in ("pilla-policy", "go2"))
+    heard = [*pilla.subscribe, *go2.subscribe]
+    intakes = {row.topic: Intake(row) for row in heard}
+    joints = ros_messages_of_bags.JOINT_STATE
+    names = [f"joint_{number}" for number in range(1, 13)]
+    numbers = (np.array(each, np.float64) for each in ([0.1] * 12, [], []))
+    valid = {
+        "/joint_commands": ros_types.cdr(ros_types.make(joints, ros_types.header(1), names, *numbers)),
+        "/cmd_vel": ros2_told.STOPPED,
+    }
+
+    def take(topic: str, data: bytes) -> None:
+        intakes[topic].take(Frame(b"m", 0, 0, 0, data), 1, 0.0)
+
+    def tell(row: ros2_table.PublishRow, data: bytes) -> None:
+        ros2_told.teller(row, contracts.contract(row.key))(data, 1)
+
+    state = next(row for row in go2.publish if row.kind == "imu")
+    modules = ("adapters.ros2.heard", "adapters.ros2.cdr", "servers.ros2")
+    return [
+        *(Parser(f"ROS 2's {topic}", partial(take, topic), (data,), modules) for topic, data in valid.items()),
+        Parser("a state for ROS 2", partial(tell, state), (bytes(8 * 31),), ("adapters.ros2.told",)),
+    ]
+
+
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm(), *_ros2()]

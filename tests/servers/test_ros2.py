@@ -98,7 +98,9 @@ def test_a_message_is_as_old_as_its_header_says_unless_the_row_says_otherwise() 
     rest = [0.0, 0.8, -1.5] * 4
     frame = Frame(b"m", 0, NOW, 0, joint_state(robot, rest, NOW - 10**9))
     taken = {
-        stamp: Intake(SubscribeRow(topic="/x", kind="joint-state", command="go2-joints", stamp=stamp)).take(frame, NOW, 0.0)
+        stamp: Intake(SubscribeRow(topic="/x", kind="joint-state", command="go2-joints", stamp=stamp)).take(
+            frame, NOW, 0.0
+        )
         for stamp in ("header", "publisher", "none")
     }
     assert [name for name, value in taken.items() if value is None] == ["header"]

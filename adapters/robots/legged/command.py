@@ -17,8 +17,8 @@ BEYOND_RAD = 0.2
 """How far outside its range a target is still clamped [rad]; farther away it is another robot's, or a fault."""
 
 PULL_RAD = 2.0
-"""How far outside a joint's range a network may ask for it [rad]: 40 N m at the 20 N m/rad that a Go2's have, which is more
-than a servo of it can do."""
+"""How far outside a joint's range a network may ask for it [rad]: 40 N m at the 20 N m/rad that a Go2's have, more than
+a servo of it can do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +50,8 @@ class PoseCommand(JointCommand):
     def of_network(cls, robot: LeggedRobot) -> Self:
         """Return the format of what a network elsewhere asks of a robot's joints, on ``action_targets_<robot>``.
 
-        Such targets pull a soft servo: they lie beyond where a joint can go, and leap from step to step. What bounds them
-        is the torque of the servo.
+        Such targets pull a soft servo: they lie beyond where a joint can go, and leap from step to step. What bounds
+        them is the torque of the servo.
         """
         found = cls.of(robot)
         size = len(found.lower)

@@ -17,9 +17,9 @@ from station.bus import codec, contracts
 from station.errors import ConfigError
 from station.protocols import CommandFormat
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+STORE: Any = get_typestore(Stores.ROS2_HUMBLE)
 PILLA = table.read("builtin:ros2/pilla-policy.yaml")
-STATE = contracts.contract("robot_state_go2")
+STATE: Any = contracts.contract("robot_state_go2")
 NS = 1_700_000_000_123_456_789
 rng = np.random.default_rng(3)
 
@@ -57,7 +57,7 @@ def read(kind: str, name: str, data: bytes, robot: str = "", **row: Any) -> hear
 
 
 def tell(kind: str, values: np.ndarray, key: str = "robot_state_go2", **row: Any) -> Any:
-    contract = contracts.contract(key)
+    contract: Any = contracts.contract(key)
     data = codec.json_vector(values) if contract.codec == "json-vector" else values.astype(
         "<f4" if contract.codec == "f32" else "<f8"
     ).tobytes()  # fmt: skip
@@ -70,7 +70,9 @@ def tell(kind: str, values: np.ndarray, key: str = "robot_state_go2", **row: Any
 def test_a_twist_is_a_velocity_and_one_that_leaves_the_ground_is_refused() -> None:
     found = read("twist", "velocity", made("twist", vector(0.5, -0.1, 0), vector(0, 0, 0.3)), robot="go2")
     assert found == heard.Heard([0.5, -0.1, 0.3], 0)
-    stamped = made("twist-stamped", header(NS, "base"), part("geometry_msgs/msg/Twist", vector(1, 0, 0), vector(0, 0, 0)))
+    stamped = made(
+        "twist-stamped", header(NS, "base"), part("geometry_msgs/msg/Twist", vector(1, 0, 0), vector(0, 0, 0))
+    )
     assert read("twist-stamped", "velocity", stamped, robot="go2") == heard.Heard([1.0, 0.0, 0.0], NS)
     for kind, linear, angular in (
         ("not-planar", (0, 0, 1), (0, 0, 0)), ("not-planar", (0, 0, 0), (0.1, 0, 0)),
@@ -129,7 +131,9 @@ def test_every_truncation_of_a_message_is_refused() -> None:
     ],
     ids=["twist", "velocity", "other-joints"],
 )
-def test_messages_that_cannot_be_such_a_command_are_an_error_before_anything_runs(row: dict[str, Any], said: str) -> None:
+def test_messages_that_cannot_be_such_a_command_are_an_error_before_anything_runs(
+    row: dict[str, Any], said: str
+) -> None:
     with pytest.raises(ConfigError, match=said):
         heard.reader(SubscribeRow(topic="/x", **row), command(row["command"], row.get("robot", "")))
 

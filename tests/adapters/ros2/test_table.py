@@ -17,7 +17,7 @@ BAD = {
         "it would hear itself",
     ),
     "a name with a blank": ("publish: [{topic: /cmd vel, as: twist, key: x}]", "no name of a topic"),
-    "joints of a twist": ("publish: [{topic: /x, as: twist, key: x, joints: {names: [a]}}]", "joints is for joint-state"),
+    "joints of a twist": ("publish: [{topic: /x, as: twist, key: x, joints: {names: [a]}}]", "is for joint-state"),
     "another kind": ("publish: [{topic: /x, as: odometry, key: x}]", "odometry"),
     "a word too many": ("publish: [{topic: /x, as: imu, key: x, rate: 5}]", "rate"),
     "offsets of fewer": (
