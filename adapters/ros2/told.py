@@ -66,9 +66,9 @@ def teller(row: PublishRow, contract: Contract | None) -> Tell:
     make = _of_numbers(row, contract)
     read, length = decoder(contract.codec), len(contract.elements)
 
-    def tell(data: bytes, ns: int) -> bytes | None:
+    def tell(data: bytes, written_ns: int) -> bytes | None:
         numbers = read(data)
-        return None if numbers is None or (length and len(numbers) != length) else make(numbers, ns)
+        return None if numbers is None or (length and len(numbers) != length) else make(numbers, written_ns)
 
     return tell
 
@@ -143,9 +143,9 @@ def _imu(row: PublishRow, gyro: list[int], quat: list[int], place: dict[str, int
 
 
 def _cloud(frame: str) -> Tell:
-    def tell(data: bytes, ns: int) -> bytes | None:
+    def tell(data: bytes, written_ns: int) -> bytes | None:
         try:
-            return messages.cloud(ns, frame, decoded(data))
+            return messages.cloud(written_ns, frame, decoded(data))
         except BadCloud:
             return None
 

@@ -801,14 +801,12 @@ def _ros2() -> list[Parser]:
     def take(topic: str, data: bytes) -> None:
         intakes[topic].take(Frame(b"m", 0, 0, 0, data), 1, 0.0)
 
-    def tell(row: ros2_table.PublishRow, data: bytes) -> None:
-        ros2_told.teller(row, contracts.contract(row.key))(data, 1)
-
-    state = next(row for row in go2.publish if row.kind == "imu")
+    imu = next(row for row in go2.publish if row.kind == "imu")
+    tell = ros2_told.teller(imu, contracts.contract(imu.key))
     modules = ("adapters.ros2.heard", "adapters.ros2.cdr", "servers.ros2")
     return [
         *(Parser(f"ROS 2's {topic}", partial(take, topic), (data,), modules) for topic, data in valid.items()),
-        Parser("a state for ROS 2", partial(tell, state), (bytes(8 * 31),), ("adapters.ros2.told",)),
+        Parser("a state for ROS 2", partial(tell, written_ns=1), (bytes(8 * 31),), ("adapters.ros2.told",)),
     ]
 
 
