@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ _NO_ROS = "no ROS 2 for the tests: make ros2, or STATION_ROS_PYTHON=/path/to/pyt
 
 def ros_python() -> str:
     """Return the Python of a ROS 2; a machine without one skips, CI fails."""
-    path = os.environ.get("STATION_ROS_PYTHON") or str(ROOT / ".venv/ros2/bin/python")
+    path = os.environ.get("STATION_ROS_PYTHON") or str(Path(sys.prefix) / "ros2/bin/python")
     if Path(path).exists():
         return path
     if os.environ.get("CI"):
