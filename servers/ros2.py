@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 NODE = Path(__file__).parents[1] / "bridges/ros2/station_node.py"
 """The node's file."""
 
-HEAD = struct.Struct("<IcHqI")
-"""Before each frame: bytes that follow, kind, number of the topic, time [ns], a number; the node's file says more."""
+HEAD = struct.Struct("<IcHqqI")
+"""Before each frame: bytes that follow, kind, topic, two times [ns], publisher; the node's file says more."""
 
 SILENT_S = 0.5
 """Whoever has sent nothing for so long on a topic is silent [s]."""
@@ -168,6 +168,7 @@ class Frame(NamedTuple):
     kind: bytes
     number: int
     at_ns: int
+    got_ns: int
     sender: int
     data: bytes
 
@@ -197,9 +198,13 @@ class NodeProcess:
         self.reason = ""
         self._thread = self._clock.start(self._listen, "ros2-node")
 
-    def send(self, kind: bytes, data: bytes, number: int = 0, at_ns: int = 0, took_us: int = 0) -> bool:
+    def send(self, kind: bytes, data: bytes, number: int = 0) -> bool:
         """Send a frame; return whether the node's pipe took all of it."""
-        frame = memoryview(HEAD.pack(len(data), kind, number, at_ns, took_us) + data)
+        return self.send_packed(HEAD.pack(len(data), kind, number, 0, 0, 0) + data)
+
+    def send_packed(self, frames: bytes) -> bool:
+        """Send frames that are packed already; return whether the node's pipe took all of them."""
+        frame = memoryview(frames)
         until_s = self._clock.monotonic_s() + STILL_S
         with self._sending:
             try:
@@ -243,7 +248,7 @@ class NodeProcess:
 
     def _listen(self) -> None:
         while (head := self._read(HEAD.size)) is not None:
-            size, kind, number, at_ns, sender = HEAD.unpack(head)
+            size, kind, number, at_ns, got_ns, sender = HEAD.unpack(head)
             data = self._read(size) if size <= _LONGEST else None
             if data is None:
                 break
@@ -251,7 +256,7 @@ class NodeProcess:
             if kind == b"x":
                 self.reason = str(_facts(data).get("reason", ""))
             else:
-                self._on_frame(Frame(kind, number, at_ns, sender, data))
+                self._on_frame(Frame(kind, number, at_ns, got_ns, sender, data))
         self._signal_all()  # what it started itself; and one whose bytes are no frames
         code = self._process.wait()
         self._out.close()
@@ -337,10 +342,10 @@ class Intake:
             self._ages.add(age_s * 1e3)
         return value
 
-    def record(self, came_s: float, now_s: float) -> None:
-        """Record that a message that came at an instant has been written by another [s]."""
+    def record(self, delay_s: float, now_s: float) -> None:
+        """Record that a message has been written at an instant, and how long it was here before [s]."""
         self.passed += 1
-        self._delays.add((now_s - came_s) * 1e3)
+        self._delays.add(delay_s * 1e3)
         if not self._is_live:
             self._is_live = True
             back = {} if self._passed_s == -math.inf else {"silent_s": round(now_s - self._passed_s, 3)}
@@ -512,9 +517,10 @@ class Bridge:
         self.outlets = [Outlet(row) for row in table.publish]
         self.intakes = [Intake(row) for row in table.subscribe]
         _expect_one_topic_each(self.intakes)
-        by_key = [outlet for outlet in self.outlets if outlet.row.kind != "diagnostics"]
-        self._by_key = {key: [one for one in by_key if one.row.key == key] for key in {one.row.key for one in by_key}}
-        self._told = [outlet for outlet in self.outlets if outlet.row.kind == "diagnostics"]
+        self._by_key: dict[str, list[int]] = {}
+        self._told: list[int] = []
+        for number, row in enumerate(table.publish):
+            (self._told if row.kind == "diagnostics" else self._by_key.setdefault(row.key, [])).append(number)
         bus = life.bus
         self._watch: Watch = bus.watch([*estop.KEYS, *sorted(self._by_key)])
         self._feed = EventFeed(bus) if self._told else None
@@ -655,34 +661,44 @@ class Bridge:
         self._is_stopped = is_stopped
 
     def _pass_on(self) -> None:
-        """Send what is new."""
-        node = self._node
+        """Send what is new, all of it at once: a node that is woken for each message is late for the last."""
+        found: list[tuple[int, bytes]] = []
         for key in (*estop.KEYS, *self._by_key):
             sample = self._watch.latest(key)
             if sample is None:
                 self._seen.pop(key, None)
-                continue
-            if sample is self._seen.get(key):
-                continue
-            self._seen[key] = sample
-            written_ns, now_ns = self._written_ns(sample, self._clock), self._clock.monotonic_ns()
-            for outlet in self._by_key.get(key, ()):
-                made = outlet.message(sample, now_ns, written_ns, is_stopped=self._is_stopped)
-                if made is not None:
-                    self._send(node, outlet, made, written_ns, sample.delay_s or 0.0)
+            elif sample is not self._seen.get(key):
+                self._seen[key] = sample
+                found += self._messages(sample)
         for event in () if self._feed is None else self._feed.pop():
-            for outlet in self._told:
-                self._send(node, outlet, _diagnostics(event), event.wall_ns)
+            data = _diagnostics(event)
+            for number in self._told:
+                found.append(
+                    (number, HEAD.pack(len(data), b"m", number, event.wall_ns, self._clock.wall_ns(), 0) + data)
+                )
+        if found:
+            self._send(found)
 
-    def _send(
-        self, node: NodeProcess | None, outlet: Outlet, data: bytes, written_ns: int, delay_s: float = 0.0
-    ) -> None:
+    def _messages(self, sample: Sample) -> Iterator[tuple[int, bytes]]:
+        """Yield the frame of each topic of a value, with the topic's number."""
+        written_ns, now_ns = self._written_ns(sample, self._clock), self._clock.monotonic_ns()
+        got_ns = self._clock.wall_ns() - (now_ns - (sample.arrived_ns or now_ns))
+        for number in self._by_key.get(sample.key, ()):
+            data = self.outlets[number].message(sample, now_ns, written_ns, is_stopped=self._is_stopped)
+            if data is not None:
+                yield number, HEAD.pack(len(data), b"m", number, written_ns, got_ns, 0) + data
+
+    def _send(self, frames: list[tuple[int, bytes]]) -> None:
+        node, why_not = self._node, ""
         if node is None or node.is_over.is_set() or not self._ros:
-            outlet.dropped["no-node"] += 1
-        elif node.send(b"m", data, self.outlets.index(outlet), written_ns, round(min(max(delay_s, 0.0), 1e3) * 1e6)):
-            outlet.sent += 1
-        else:
-            outlet.dropped["with-the-node"] += 1
+            why_not = "no-node"
+        elif not node.send_packed(b"".join(data for _, data in frames)):
+            why_not = "with-the-node"
+        for number, _ in frames:
+            if why_not:
+                self.outlets[number].dropped[why_not] += 1
+            else:
+                self.outlets[number].sent += 1
 
     def _look(self) -> None:
         """Take up what servers state of their keys; tell of rows that make nothing of theirs."""
@@ -704,15 +720,15 @@ class Bridge:
     # -- From ROS to the bus ------------------------------------------------------------------------------------------
     def _write(self, intake: Intake, frame: Frame) -> None:
         """Write the command that a message is."""
-        came_s = self._clock.monotonic_s()
+        now_s = self._clock.monotonic_s()
         why_not = "" if self._is_running and self._engaged else "not-engaged"
-        value = intake.take(frame, self._clock.wall_ns(), came_s, "stopped" if self._is_stopped else why_not)
+        value = intake.take(frame, self._clock.wall_ns(), now_s, "stopped" if self._is_stopped else why_not)
         if value is None:
             return
         source = codec.json_object({"kind": "ros2", "topic": intake.row.topic})
-        command = intake.command
+        command, delay_s = intake.command, (self._clock.wall_ns() - frame.got_ns) * 1e-9
         if self._life.bus.publish({command.key: value, keys.command_source(command.robot): source}):
-            intake.record(came_s, self._clock.monotonic_s())
+            intake.record(delay_s, now_s)
         else:
             intake.dropped["bus-lost"] += 1
 

@@ -36,9 +36,9 @@ import threading
 import time
 from collections import deque
 
-HEAD = struct.Struct("<IcHqI")
-"""Bytes that follow, kind, number of the topic, time [ns]; to the node how long after that the value came to the server
-[us], to the server which publisher it is, from 1 (0 where that is unknown)."""
+HEAD = struct.Struct("<IcHqqI")
+"""Bytes that follow, kind, number of the topic, time of the message [ns], when whoever sends the frame got it [ns], and
+which publisher it is of, from 1 (0 where that is unknown)."""
 
 BEAT_S = 0.2
 ENDS, END_EVERY_S = 10, 0.02
@@ -60,19 +60,19 @@ class Line:
         self._lock = threading.Lock()
 
     def receive(self):
-        """Return the next frame: kind, number, time, how long after that it came [us], bytes; None at the end."""
+        """Return the next frame: kind, number, its two times, bytes; None at the end."""
         head = self._source.read(HEAD.size)
         if len(head) < HEAD.size:
             return None
-        size, kind, number, at_ns, took_us = HEAD.unpack(head)
+        size, kind, number, at_ns, got_ns, _ = HEAD.unpack(head)
         if size > _LONGEST:
             return None
         data = self._source.read(size)
-        return (kind, number, at_ns, took_us, data) if len(data) == size else None
+        return (kind, number, at_ns, got_ns, data) if len(data) == size else None
 
-    def send(self, kind, data, number=0, at_ns=0, sender=0):
+    def send(self, kind, data, number=0, at_ns=0, got_ns=0, sender=0):
         """Write a frame, whole, as soon as the server takes it."""
-        frame = HEAD.pack(len(data), kind, number, at_ns, sender) + data
+        frame = HEAD.pack(len(data), kind, number, at_ns, got_ns, sender) + data
         with self._lock:
             while frame:
                 frame = frame[os.write(self._target, frame) :]
@@ -103,15 +103,15 @@ class Outgoing:
         self._ends = 0
         self._lock = threading.Lock()
 
-    def publish(self, data, written_ns, took_us):
-        """Publish a message whose value was written at an instant [ns] and took so long to the server [us]."""
+    def publish(self, data, written_ns, got_ns):
+        """Publish a message whose value was written at an instant, and came to the server at another [ns]."""
         with self._lock:
             self._came_s, self._ends, self.ended_by = time.monotonic(), 0, ""
-            age_ms = (time.time_ns() - written_ns) * 1e-6
+            now_ns = time.time_ns()
             self.publisher.publish(data)
             self.published += 1
-            self._ages_ms.append(age_ms)
-            self._delays_ms.append(age_ms - took_us * 1e-3)
+            self._ages_ms.append((now_ns - written_ns) * 1e-6)
+            self._delays_ms.append((now_ns - got_ns) * 1e-6)
 
     def end(self, why):
         """Say the last word soon, if the topic has one and is being commanded."""
@@ -196,7 +196,7 @@ class Incoming:
             self._pass_on(*taken)
 
     def _pass_on(self, data, info):
-        self.came += 1
+        self.came, got_ns = self.came + 1, time.time_ns()
         gid = info.get("publisher_gid") or b""  # from Kilted on
         gid = bytes(gid["data"]) if isinstance(gid, dict) else bytes(gid)
         sender = self._senders.setdefault(gid, len(self._senders) + 1) if gid and len(self._senders) < 1000 else 0
@@ -205,7 +205,7 @@ class Incoming:
             skipped = count - self._newest.get(gid, count) - 1
             self.missed += max(0, min(skipped, 1000))
             self._newest[gid] = count
-        self._line.send(b"m", bytes(data), self._number, info.get("source_timestamp") or 0, sender)
+        self._line.send(b"m", bytes(data), self._number, info.get("source_timestamp") or 0, got_ns, sender)
 
     def facts(self):
         """Return what the server is told."""
@@ -356,9 +356,9 @@ def hear(line, outgoing, services, ended):
     """Do what the server sends until its pipe ends."""
     try:
         while (frame := line.receive()) is not None:
-            kind, number, at_ns, took_us, data = frame
+            kind, number, at_ns, got_ns, data = frame
             if kind == b"m":
-                outgoing[number].publish(data, at_ns, took_us)
+                outgoing[number].publish(data, at_ns, got_ns)
             elif kind == b"e":
                 outgoing[number].end("told")
             elif kind == b"r":

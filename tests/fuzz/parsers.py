@@ -799,7 +799,7 @@ def _ros2() -> list[Parser]:
     }
 
     def take(topic: str, data: bytes) -> None:
-        intakes[topic].take(Frame(b"m", 0, 0, 0, data), 1, 0.0)
+        intakes[topic].take(Frame(b"m", 0, 0, 0, 0, data), 1, 0.0)
 
     imu = next(row for row in go2.publish if row.kind == "imu")
     tell = ros2_told.teller(imu, contracts.contract(imu.key))

@@ -63,7 +63,7 @@ def bus(bus_server: BusAddress) -> Iterator[Bus]:
 # -- What a topic takes, without a process ---------------------------------------------------------------------------
 def twist(vx: float = 0.5, age_s: float = 0.0, sender: int = 0) -> Frame:
     data = made("twist", vector(vx, 0, 0), vector(0, 0, 0))
-    return Frame(b"m", 0, NOW - round(age_s * 1e9), sender, data)
+    return Frame(b"m", 0, NOW - round(age_s * 1e9), NOW, sender, data)
 
 
 def names(of: Intake, now_s: float) -> list[str]:
@@ -96,7 +96,7 @@ def test_what_is_no_command_is_refused_counted_and_told_when_it_begins_and_ends(
 def test_a_message_is_as_old_as_its_header_says_unless_the_row_says_otherwise() -> None:
     robot = [f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("hip", "thigh", "calf")]
     rest = [0.0, 0.8, -1.5] * 4
-    frame = Frame(b"m", 0, NOW, 0, joint_state(robot, rest, NOW - 10**9))
+    frame = Frame(b"m", 0, NOW, NOW, 0, joint_state(robot, rest, NOW - 10**9))
     taken = {
         stamp: Intake(SubscribeRow(topic="/x", kind="joint-state", command="go2-joints", stamp=stamp)).take(
             frame, NOW, 0.0
@@ -123,10 +123,10 @@ def test_a_second_publisher_is_heard_only_once_the_first_has_fallen_silent() -> 
 
 def test_live_silent_and_back_are_told() -> None:
     of = Intake(CMD_VEL)
-    of.record(0.0, 0.001)
+    of.record(0.001, 0.001)
     assert names(of, 0.1) == ["ros2-live"]
     assert names(of, 0.1 + SILENT_S) == ["ros2-silent"]
-    of.record(2.0, 2.001)
+    of.record(0.001, 2.001)
     ((name, _, detail),) = of.on_tick(2.1)
     assert (name, detail["silent_s"]) == ("ros2-back", 2.0)
     assert of.status()["passed"] == 2
