@@ -115,7 +115,7 @@ def _expect(config: Ros2Config) -> None:
             f"python: {program} is no program of this computer; expected the Python of a ROS installation"
         )
     if config.setup and not Path(config.setup).is_file():
-        raise StationError(f"setup: {config.setup} is no file; expected one such as /opt/ros/jazzy/setup.bash")
+        raise StationError(f"setup: {config.setup} is no file; expected the setup.bash of a ROS 2 installation")
     tables.read(config.table)
 
 
@@ -560,7 +560,8 @@ class Bridge:
             self._node.look()
             if self._clock.wait(self._node.is_over, _LOOK_S):
                 raise StationError(
-                    f"the node in ROS did not start: {self._node.reason}; expected python and setup of a ROS 2"
+                    f"the node in ROS did not start: {self._node.reason}; expected the Python of a ROS 2: "
+                    "set python or setup, or source its setup.bash before"
                 )
 
     def run(self) -> None:

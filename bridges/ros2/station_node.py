@@ -306,7 +306,7 @@ def run(line, config):
     try:
         import rclpy
     except ImportError as error:
-        raise Unusable(f"{sys.executable} has no rclpy ({error}); source the setup.bash of a ROS 2 first") from None
+        raise Unusable(f"{sys.executable} has no rclpy ({error})") from None
     rclpy.init(args=[], **without_signals(rclpy))
     node = rclpy.create_node(config["node"], start_parameter_services=False)
     outgoing = [Outgoing(node, row) if is_there(row) else LeftOut(row) for row in config["publish"]]

@@ -27,6 +27,7 @@ from station.bus.sample import Sample
 from station.config import build
 from station.errors import ConfigError, StationError
 from tests.adapters.ros2.test_messages import joint_state, made, vector
+from tests.ros import ros_python
 from tests.servers.device_station import RUN
 from tests.servers.ros2_station import Ros2Station, ros2_station
 from tests.waiting import is_running, wait_until
@@ -232,8 +233,10 @@ def a_state() -> bytes:
     return state.tobytes()
 
 
-def test_topics_become_commands_and_states_topics_until_ctrl_c(bridge: Ros2Station, bus: Bus) -> None:
-    bridge.start(WALK, engaged=True)
+def test_topics_become_commands_and_states_topics_until_ctrl_c(bridge: Ros2Station, bus: Bus, tmp_path: Path) -> None:
+    setup = tmp_path / "setup.bash"
+    setup.write_text(f'echo "ROS is set up"\nexport PATH={Path(ros_python()).parent}:$PATH\n')
+    bridge.start(WALK, engaged=True, setup=str(setup), python="python")
     bridge.peer.listen("/joint_states", JOINTS)
     bridge.peer.listen("/imu", IMU)
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5, "y": -0.25}, angular={"z": 0.125})
