@@ -806,7 +806,7 @@ def _ros2() -> list[Parser]:
     modules = ("adapters.ros2.heard", "adapters.ros2.cdr", "servers.ros2")
     return [
         *(Parser(f"ROS 2's {topic}", partial(take, topic), (data,), modules) for topic, data in valid.items()),
-        Parser("a state for ROS 2", partial(tell, written_ns=1), (bytes(8 * 31),), ("adapters.ros2.told",)),
+        Parser("a state for ROS 2", lambda data: tell(data, 1), (bytes(8 * 31),), ("adapters.ros2.told",)),
     ]
 
 
