@@ -295,7 +295,7 @@ def test_a_peer_that_is_killed_is_silent_and_one_that_comes_is_heard(bridge: Ros
     assert bridge.numbers(VELOCITY)[-1] == [0.25, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("how", ["server killed", "stopped", "silent"])
+@pytest.mark.parametrize("how", ["server killed", "server frozen", "stopped", "silent"])
 def test_who_is_driven_in_ros_is_told_to_stand_when_the_station_falls_silent(
     bridge: Ros2Station, bus: Bus, how: str
 ) -> None:
@@ -313,6 +313,9 @@ def test_who_is_driven_in_ros_is_told_to_stand_when_the_station_falls_silent(
     if how == "server killed":
         bridge.node()
         bridge.process.kill()
+    elif how == "server frozen":
+        bridge.node()
+        bridge.process.send_signal(signal.SIGSTOP)
     elif how == "stopped":
         bus.publish({keys.ESTOP: codec.json_object({"stop": True, "reason": "test"})})
         for _ in range(20):
