@@ -6,10 +6,10 @@ JOBS   ?= 4# processes that run tests: on two cores, since many of them wait for
 
 KORD_SOURCES := $(shell find bridges/kord -type f -not -name '*.pyc' -not -path '*/build/*' 2>/dev/null)
 
-.PHONY: help docs demo test quick prove hunt mutants check format bench soak kord clean
+.PHONY: help docs demo test quick prove hunt mutants check format bench soak ros2 kord clean
 
 help:   ## this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+	@sed -n 's/^\([a-z0-9]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
 demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
@@ -53,6 +53,8 @@ soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load
 mutants: $(VENV)/.installed-test $(VENV)/.installed-kord   ## small wrong patches of the product, each of which a test must notice
 	$(BIN)/python -m tests.mutants --jobs 2
 
+ros2: $(VENV)/.installed-ros2   ## ROS 2 for the tests of its bridge, in an environment of its own
+
 kord: $(VENV)/.installed-kord   ## the bridge to a Kassow controller, with a simulated one; needs a C++ compiler
 
 clean:   ## remove the environment and caches
@@ -82,6 +84,15 @@ $(VENV)/.collected: $(VENV)/.installed-test
 	  PYTHONHASHSEED=$$seed $(BIN)/python -m pytest --collect-only -q >$(VENV)/collected.log || { cat $(VENV)/collected.log; exit 1; }; \
 	  grep :: $(VENV)/collected.log >$(VENV)/tests-$$seed.txt; done
 	@diff $(VENV)/tests-1.txt $(VENV)/tests-2.txt || { echo "These tests are named or ordered by a set: sort it"; exit 1; }
+	@touch $@
+
+# ROS 2 as wheels of others (github.com/ycheng517/ros-python-wheels), for the tests of its bridge: an environment of its own,
+# since they start every Python of theirs anew with other library paths. 260 MB; `make test` skips those tests without it.
+$(VENV)/.installed-ros2: $(VENV)/bin/python Makefile
+	@echo "Installing ROS 2 for the tests of its bridge …"
+	@$(PYTHON) -m venv $(VENV)/ros2
+	@$(VENV)/ros2/bin/python -m pip install --quiet --disable-pip-version-check --no-compile \
+	  $(addprefix ros-kilted-,rclpy std-msgs geometry-msgs sensor-msgs diagnostic-msgs rosgraph-msgs rmw-fastrtps-cpp rmw-implementation) ros-std-srvs
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed pyproject.toml

@@ -20,7 +20,7 @@ def _files() -> dict[str, Path]:
     robots = _ADAPTERS / "robots"
     of_robots = [path for name in ("*.xml", "*.stand.yaml", "*.hand.yaml") for path in robots.glob(f"*/{name}")]
     found = [*of_robots, *(_ADAPTERS / "policies").glob("*/*.onnx")]
-    scripts = (_ADAPTERS / "devices/fakes").glob("*/*.json")
+    scripts = [*(_ADAPTERS / "devices/fakes").glob("*/*.json"), *(_ADAPTERS / "ros2").glob("*.yaml")]
     return {path.name: path for path in sorted(found)} | {
         f"{path.parent.name}/{path.name}": path for path in sorted(scripts)
     }

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adapters.ros2.cdr import Cursor
 from station.point_cloud import TYPES, BadCloud, PointCloud, PointField, SensorPose, expect_sound
 
 _TYPES = ("i1", "u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8")  # of PointField, from 1
@@ -42,49 +43,6 @@ class Imu(NamedTuple):
     sensor_ns: int
 
 
-class _Cursor:
-    """Reads a message from its beginning; numbers lie at multiples of their size, counted behind the head."""
-
-    def __init__(self, data: bytes | memoryview) -> None:
-        order = _ORDERS.get(bytes(data[:2]))
-        if len(data) < _HEAD_BYTES or order is None:
-            raise BadCloud(f"a message of {len(data)} bytes that does not begin as XCDR1 does")
-        self._order = order
-        self._data, self._at = memoryview(data)[_HEAD_BYTES:], 0
-
-    def number(self, code: str) -> int:
-        """Return the next number, by its code of `struct`."""
-        return int(self.numbers(code)[0])
-
-    def numbers(self, code: str, count: int = 1) -> tuple[float, ...]:
-        """Return several numbers."""
-        size = struct.calcsize(code)
-        self._at += -self._at % size
-        part = self.take(size * count)
-        return struct.unpack(f"{self._order}{count}{code}", part)
-
-    def text(self) -> str:
-        """Return the next string."""
-        part = bytes(self.take(self.number("I")))
-        try:
-            return part.rstrip(b"\0").decode()
-        except UnicodeDecodeError:
-            raise BadCloud("a name that is no UTF-8") from None
-
-    def take(self, count: int) -> memoryview:
-        """Return the next bytes."""
-        part = self._data[self._at : self._at + count]
-        if len(part) < count:
-            raise BadCloud(f"truncated: {count} bytes are told of at byte {self._at}, {len(part)} came")
-        self._at += count
-        return part
-
-    def header(self) -> tuple[int, str]:
-        """Return stamp [ns] and frame."""
-        seconds, nanos = self.number("i"), self.number("I")
-        return seconds * _NANOSECONDS + nanos, self.text()
-
-
 def parse_cloud(data: bytes) -> PointCloud:
     """Return the cloud of a PointCloud2; its points are those of the message, not copied where they may stay.
 
@@ -93,7 +51,7 @@ def parse_cloud(data: bytes) -> PointCloud:
     Raises:
         BadCloud: it is none, truncated, or does not hold together; one line.
     """
-    at = _Cursor(data)
+    at = Cursor(data, BadCloud)
     stamp_ns, frame = at.header()
     height, width = at.number("I"), at.number("I")
     fields = _fields(at)
@@ -169,7 +127,7 @@ def write_imu(sample: Imu, frame: str) -> bytes:
     return b"\x00\x01\x00\x00" + bytes(out)
 
 
-def _fields(at: _Cursor) -> tuple[PointField, ...]:
+def _fields(at: Cursor) -> tuple[PointField, ...]:
     count = at.number("I")
     if count > _MOST_FIELDS:
         raise BadCloud(f"{count} fields; expected {_MOST_FIELDS} at most")

@@ -92,7 +92,7 @@ class Watch:
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
         self._changed = threading.Condition()
-        self._puts = 0
+        self._changes = 0
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
@@ -131,7 +131,7 @@ class Watch:
             return self._slots[key] if newer() else None
 
     def wait_any(self, after: int, timeout_s: float) -> int:
-        """Block until anything was read of any key after a count of such reads, or for a time [s].
+        """Block until any key holds something else than it did at a count of such changes, or for a time [s].
 
         Args:
             after: What the last call returned; at first 0.
@@ -141,8 +141,8 @@ class Watch:
             The count now.
         """
         with self._changed:
-            self.clock.wait_for(self._changed, lambda: self._puts != after or self._closed.is_set(), timeout_s)
-            return self._puts
+            self.clock.wait_for(self._changed, lambda: self._changes != after or self._closed.is_set(), timeout_s)
+            return self._changes
 
     def close(self) -> None:
         """Stop watching."""
@@ -314,7 +314,6 @@ class Watch:
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
         known = self._slots.get(key)
-        self._puts += 1
         if value is None:
             self._slots.pop(key, None)
         elif known is None or mark != self._newest_mark.get(key):
@@ -322,6 +321,7 @@ class Watch:
         elif is_foreign or value != known.value:
             # The stamp stands still while the value is written: a stock script overwrites a native key.
             self._slots[key] = Sample(key, value, None, now_ns)
+        self._changes += self._slots.get(key) is not known
         self._newest_mark[key] = mark
 
     def _clock_of(self, mark: stamp.Stamp | None) -> Offset | None:

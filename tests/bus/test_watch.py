@@ -50,6 +50,23 @@ def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> N
         assert watch.wait("k", after=sample, timeout_s=0.05) is None
 
 
+def test_any_of_several_keys_wakes_who_has_not_seen_its_value(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["a", "b"]) as watch:
+        bus.publish({"a": b"1"})
+        reads = watch.wait_any(0, DEADLINE_S)
+        assert watch.latest("a") is not None
+        woken = threading.Event()
+
+        def wait() -> None:
+            if watch.wait_any(reads, DEADLINE_S) > reads:
+                woken.set()
+
+        threading.Thread(target=wait, daemon=True).start()
+        assert not woken.wait(0.1), "what was seen wakes nobody"
+        bus.publish({"b": b"2"})
+        assert woken.wait(DEADLINE_S)
+
+
 def test_the_newest_of_many_writes_ends_in_the_slot(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         for n in range(2000):

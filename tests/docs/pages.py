@@ -159,6 +159,11 @@ PAGES = {
         "pip install": _INSTALLS,
         "station serve zenoh": Typed(elsewhere="tests/servers/test_zenoh.py, beside a bus"),
     }, has_upstream_data=False),
+    "docs/ros2.md": Page({
+        "pip install": _INSTALLS,
+        "station up": Typed(elsewhere="tests/main_job/test_proof_ros2.py"),
+        "ros2 topic": Typed(elsewhere="in a shell with ROS"),
+    }, has_upstream_data=False),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,
         "station up kassow-sim-spacemouse --set": Typed(

@@ -30,6 +30,8 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
+from adapters.exports.ros2 import messages as ros_messages_of_bags
+from adapters.exports.ros2 import ros_types
 from adapters.lcm import packet as lcm_packet
 from adapters.lcm import types as lcm_types
 from adapters.lcm.message import BadMessage
@@ -40,9 +42,12 @@ from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.dds import words
+from adapters.ros2 import table as ros2_table
+from adapters.ros2 import told as ros2_told
 from adapters.sonic import message as sonic_message
 from adapters.sonic import planner as sonic_planner
 from adapters.sonic import pose as sonic_pose
+from servers.ros2 import Frame, Intake
 from station import depth, point_cloud
 from station.api.live import Record, Station
 from station.bus import clocks, codec, contracts, keys, stamp
@@ -860,4 +865,39 @@ def _zeromq() -> list[Parser]:
     ]  # fmt: skip
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet(), *_lidars(), *_lcm(), *_zeromq()]
+def _ros2() -> list[Parser]:
+    """Messages of a ROS 2 graph, which anybody in its domain may send, and values that become some."""
+    pilla, go2 = (ros2_table.read(f"builtin:ros2/{name}.yaml") for name in ("pilla-policy", "go2"))
+    heard = [*pilla.subscribe, *go2.subscribe]
+    intakes = {row.topic: Intake(row) for row in heard}
+    joints = ros_messages_of_bags.JOINT_STATE
+    names = [f"joint_{number}" for number in range(1, 13)]
+    numbers = (np.array(each, np.float64) for each in ([0.1] * 12, [], []))
+    valid = {
+        "/joint_commands": ros_types.cdr(ros_types.make(joints, ros_types.header(1), names, *numbers)),
+        "/cmd_vel": ros2_told.STOPPED,
+    }
+
+    def take(topic: str, data: bytes) -> None:
+        intakes[topic].take(Frame(b"m", 0, 0, 0, 0, data), 1, 0.0)
+
+    imu = next(row for row in go2.publish if row.kind == "imu")
+    tell = ros2_told.teller(imu, contracts.contract(imu.key))
+    modules = ("adapters.ros2.heard", "adapters.ros2.cdr", "servers.ros2")
+    return [
+        *(Parser(f"ROS 2's {topic}", partial(take, topic), (data,), modules) for topic, data in valid.items()),
+        Parser("a state for ROS 2", lambda data: tell(data, 1), (bytes(8 * 31),), ("adapters.ros2.told",)),
+    ]
+
+
+PARSERS = [
+    *_by_itself(),
+    *_stops_and_requests(),
+    *_told(),
+    *_by_key(),
+    *_natnet(),
+    *_lidars(),
+    *_lcm(),
+    *_zeromq(),
+    *_ros2(),
+]

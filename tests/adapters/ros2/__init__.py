@@ -1,0 +1,1 @@
+"""The ROS 2 bridge: tables, and messages against a library that made none of ours."""

@@ -1,0 +1,114 @@
+"""A node of ROS 2 for tests: does what lines of JSON on its standard input say, and answers each with one.
+
+Runs in the Python of a ROS 2, so it imports nothing of the station or of its tests.
+"""
+
+import importlib
+import json
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+
+def found(name):
+    package, kind, word = name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), word)
+
+
+def filled(message, fields):
+    for name, value in fields.items():
+        part = getattr(message, name)
+        if isinstance(value, dict):
+            filled(part, value)
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def plain(value):
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes | bytearray):
+        return value.hex()
+    if isinstance(value, str | int | float | bool):
+        return value
+    return [plain(one) for one in value]
+
+
+class Doer:
+    def __init__(self, node):
+        self.node = node
+        self.publishers = {}
+        self.sending = {}
+        self.kept = {}
+        self.subscriptions = []
+
+    def hello(self):
+        return "hello"
+
+    def publish(self, topic, kind, rate_hz, best_effort, fields):
+        if topic not in self.publishers:
+            reliability = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
+            made = self.node.create_publisher(found(kind), topic, QoSProfile(depth=10, reliability=reliability))
+            self.publishers[topic] = made
+        self.sending[topic] = (filled(found(kind)(), fields), 1.0 / rate_hz, [0.0])
+
+    def cease(self, topic):
+        self.sending.pop(topic, None)
+
+    def listen(self, topic, kind):
+        kept = self.kept[topic] = []
+        self.subscriptions.append(
+            self.node.create_subscription(found(kind), topic, lambda m: kept.append((time.time_ns(), m)), 1000)
+        )
+
+    def heard(self, topic):
+        return [{"at_ns": at_ns, **plain(message)} for at_ns, message in list(self.kept[topic])]
+
+    def call(self, service, kind, fields):
+        client = self.node.create_client(found(kind), service)
+        if not client.wait_for_service(timeout_sec=20.0):
+            raise TimeoutError(f"{service} is not there")
+        future = client.call_async(filled(found(kind).Request(), fields))
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(20.0):
+            raise TimeoutError(f"{service} did not answer")
+        return plain(future.result())
+
+    def send_due(self):
+        while True:
+            now_s = time.monotonic()
+            for topic, (message, period_s, due_s) in list(self.sending.items()):
+                if now_s >= due_s[0]:
+                    due_s[0] = max(due_s[0] + period_s, now_s - period_s)
+                    if hasattr(message, "header") and message.header.frame_id == "now":
+                        message.header.stamp = self.node.get_clock().now().to_msg()
+                    self.publishers[topic].publish(message)
+            time.sleep(0.001)
+
+
+def main():
+    rclpy.init()
+    node = rclpy.create_node("peer")
+    executor = MultiThreadedExecutor(2)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+    doer = Doer(node)
+    threading.Thread(target=doer.send_due, daemon=True).start()
+    for line in sys.stdin:
+        asked = json.loads(line)
+        try:
+            answer = {"answer": getattr(doer, asked.pop("what"))(**asked)}
+        except Exception as error:  # noqa: BLE001  # told to the test
+            answer = {"error": repr(error)}
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
