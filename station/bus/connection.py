@@ -34,6 +34,9 @@ def pack(*arguments: Argument) -> bytes:
     return b"".join(parts)
 
 
+_FAR_OPEN_S = 2.5  # to connect over a line that loses packets: the kernel asks again after 1 s
+
+
 class ConnectionLost(BusError):
     """The server went away, or did not answer in time."""
 
@@ -241,7 +244,7 @@ class Connection:
     def _open(self) -> socket.socket:
         address = self.address
         try:
-            stream = address.open(self._timeout_s)
+            stream = address.open(self._timeout_s if address.is_local else max(self._timeout_s, _FAR_OPEN_S))
             stream.settimeout(self._timeout_s)
             return stream
         except OSError as error:

@@ -17,7 +17,8 @@ _NO_PAGE = ("index",)  # the site's list of the others
 @click.argument("page", default="", shell_complete=candidates.pages)
 def command(page: str) -> None:
     """Print PAGE of the docs of this version; without PAGE, list them."""
-    pages = {path.stem: path for path in sorted(packages.docs().glob("*.md")) if path.stem not in _NO_PAGE}
+    found = {path.stem: path for path in packages.docs().glob("*.md") if path.stem not in _NO_PAGE}
+    pages = dict(sorted(found.items()))
     if page:
         name = page.removeprefix("docs/").removesuffix(".md")
         if name not in pages:

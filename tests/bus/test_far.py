@@ -72,6 +72,16 @@ def test_a_request_has_the_patience_of_a_line_that_loses_packets(far: FarBus) ->
         assert bus.connections == 1
 
 
+def test_who_connects_has_the_patience_of_a_line_that_loses_the_first_packet(far: FarBus) -> None:
+    far.link.change(loss=1.0)
+    is_good_again = threading.Timer(0.7, far.link.change)
+    is_good_again.start()
+    with Bus(far.there, name="motion") as bus:
+        assert bus.publish({"k": b"here"})
+    is_good_again.join()
+    _arrived(far, b"here")
+
+
 def test_a_cut_of_two_seconds_loses_nothing_waits_for_nobody_and_is_told(far: FarBus) -> None:
     with Bus(far.there, name="motion") as bus:
         _write(bus, 5)

@@ -11,6 +11,6 @@ from station.errors import StationError
 
 def test_a_robot_whose_library_is_missing_names_the_extra(monkeypatch):
     monkeypatch.setattr(libraries, "version", lambda library: None)
-    nothing = {"bus": None, "name": "", "config_json": "", "list_keys": False}
+    nothing = {"bus": None, "name": "", "config_json": "", "is_expected": False, "list_keys": False}
     with pytest.raises(StationError, match=r"robot g1-dds needs cyclonedds, .*; pip install 'teleop-station\[g1\]'"):
         serve.command.callback(server="robot", sets=("robot=g1-dds",), **nothing)
