@@ -169,7 +169,8 @@ class Incoming:
     def __init__(self, life: Life, session: zenoh.Session, config: ZenohConfig) -> None:
         self._life, self._clock = life, life.clock
         self._contracts, self._described_s = Contracts(), -math.inf
-        self._waiting = queue.SimpleQueue[tuple[str, bytes, bytes]]()
+        # No SimpleQueue: its `get` with a time waits for ever where a signal comes as that time ends (CPython 3.11).
+        self._waiting = queue.Queue[tuple[str, bytes, bytes]]()
         self._pauses, self._not_for_us = Pauses(life.clock), Counter[str]()
         self._counts: dict[str, tuple[str, int]] = {}
         self._missing = 0

@@ -74,3 +74,14 @@ def test_no_other_handler_may_take_a_lock() -> None:
         "station/side_by_side.py",  # appends to a list
         "station/cli/devices.py",  # raises
     }
+
+
+def test_nobody_waits_for_a_time_in_a_queue_that_a_signal_may_make_wait_for_ever() -> None:
+    """`SimpleQueue.get` of CPython 3.11 waits without end where a signal comes as its time is over."""
+    found = [
+        path.relative_to(ROOT)
+        for folder in ("station", "servers", "adapters", "bridges")
+        for path in (ROOT / folder).rglob("*.py")
+        if "SimpleQueue[" in (text := path.read_text(encoding="utf-8")) and ".get(timeout=" in text
+    ]
+    assert found == []
