@@ -18,6 +18,7 @@ from station.bus.address import CERTIFICATE_VARIABLE, KEY_VARIABLE, BusAddress
 from station.errors import BusError
 
 _READ_SIZE = 1 << 16
+_FAR_OPEN_S = 2.5  # to connect over a line that loses packets: the kernel asks again after 1 s
 _MOST_UNSENT = 8 << 20  # bytes; a G1 server fills them in 13 s
 
 Argument = bytes | str | int
@@ -32,9 +33,6 @@ def pack(*arguments: Argument) -> bytes:
         parts.append(data)
         parts.append(b"\r\n")
     return b"".join(parts)
-
-
-_FAR_OPEN_S = 2.5  # to connect over a line that loses packets: the kernel asks again after 1 s
 
 
 class ConnectionLost(BusError):

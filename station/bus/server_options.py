@@ -130,9 +130,8 @@ def _port(options: ServerOptions) -> list[str]:
     port, certificate = str(options.tcp_port or 0), options.certificate
     if certificate is None:
         return ["--port", port]
-    clients = (
-        ["no"] if certificate.ca_file is None else ["yes", "--tls-ca-cert-file", str(certificate.ca_file.absolute())]
-    )
+    authority = certificate.ca_file
+    clients = ["no"] if authority is None else ["yes", "--tls-ca-cert-file", str(authority.absolute())]
     return ["--port", "0", "--tls-port", port, "--tls-cert-file", str(certificate.file.absolute()),
             "--tls-key-file", str(certificate.key_file.absolute()), "--tls-auth-clients", *clients]  # fmt: skip
 

@@ -292,10 +292,10 @@ KIND = ServerKind(
 )
 
 
-def read_logs(bus: Bus, name: str = "*") -> Mapping[str, HostLog]:
+def read_logs(bus: Bus) -> Mapping[str, HostLog]:
     """Return the newest lines of servers that agents have started, by name; what is no such log has none."""
     found = {}
-    for key, sample in bus.read(bus.names(keys.log(name))).items():
+    for key, sample in bus.read(bus.names(keys.log("*"))).items():
         if (log := decode_log(sample.value)) is not None:
             found[key.removeprefix(keys.LOG_PREFIX)] = log
     return found
@@ -323,7 +323,7 @@ class HostTail:
 
     def read(self, *, is_last: bool = False) -> list[str]:
         """Return the lines that are new; whether it `is_last` changes nothing, as all lines are whole."""
-        log = read_logs(self._bus, self._name).get(self._name)
+        log = decode_log(self._bus.get(keys.log(self._name)) or b"")
         if log is None:
             return []
         if log.process != self._process:

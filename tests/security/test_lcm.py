@@ -21,7 +21,7 @@ def test_it_commands_as_either_and_says_where_the_robot_is_as_the_user_who_may(
 ) -> None:
     used, key = keys.command_used(LEGS), keys.action(f"velocity-height_{LEGS}")
     with lcm_station(as_role("recorder"), tmp_path) as bridge, Bus(as_role("command"), name="commander") as bus:
-        bridge.start("our-cockpit", url=as_role(role).url)
+        bridge.start(mode="our-cockpit", url=as_role(role).url)
 
         def walks() -> bool:
             bus.publish({key: codec.json_vector([0.5, 0.0, 0.0, 0.74])})

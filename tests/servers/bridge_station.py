@@ -46,7 +46,13 @@ class BridgeStation(OneServer):
         self.state = ""
 
     def start(self, *, inside: Sequence[str] = (), url: str = "", **settings: Any) -> None:
-        """Start the server and wait until it is active; see `tests.servers.lcm_station.LcmStation.start`."""
+        """Start the server and wait until it is active.
+
+        Args:
+            inside: What its command line begins with.
+            url: Of the bus, where it is another user of it than this.
+            settings: Its settings.
+        """
         self.launch(inside=inside, url=url, **settings)
         self.state = ""
         self.until(lambda: self.state == "active" and self.detail)

@@ -158,7 +158,7 @@ def test_live_silent_and_back_are_told_and_the_heartbeat_says_how_old_what_was_p
 def test_messages_of_a_cockpit_are_commands_on_the_bus_and_nothing_is_written_once_it_is_silent(
     bridge: LcmStation,
 ) -> None:
-    bridge.start("their-cockpit")
+    bridge.start(mode="their-cockpit")
 
     def passed() -> bool:
         bridge.send("pedal_command", WALK)
@@ -167,7 +167,8 @@ def test_messages_of_a_cockpit_are_commands_on_the_bus_and_nothing_is_written_on
         return len(bridge.written[LEGS]) > 20 and len(bridge.written[LEFT]) > 20
 
     bridge.until(passed)
-    assert set(bridge.written) == {LEGS, LEFT, RIGHT}, "a robot without hands has no command of hands"
+    sources = {keys.command_source(f"g1_29_{part}") for part in ("legs", "left_arm", "right_arm")}
+    assert set(bridge.written) == {LEGS, LEFT, RIGHT, *sources}, "a robot without hands has no command of hands"
     assert bridge.vectors(LEGS)[-1] == WALK
     assert bridge.vectors(LEFT)[-1] + bridge.vectors(RIGHT)[-1] == SOME_ARMS
     bridge.until(lambda: {event.detail["channel"] for event in bridge.told("lcm-silent")} == {
@@ -186,7 +187,7 @@ def test_messages_of_a_cockpit_are_commands_on_the_bus_and_nothing_is_written_on
 
 
 def test_hands_are_passed_on_to_a_robot_that_has_some(bridge: LcmStation) -> None:
-    bridge.start("their-cockpit", robot="g1_dex3", hands=True)
+    bridge.start(mode="their-cockpit", robot="g1_dex3", hands=True)
     hands = [index / 100 for index in range(7)] + [-index / 100 for index in range(7)]
     keys_of_hands = [keys.action_joints(f"g1_dex3_{side}_hand") for side in ("left", "right")]
 
@@ -199,7 +200,7 @@ def test_hands_are_passed_on_to_a_robot_that_has_some(bridge: LcmStation) -> Non
 
 
 def test_ten_thousand_damaged_datagrams_reach_no_key_and_end_nothing(bridge: LcmStation) -> None:
-    bridge.start("their-cockpit")
+    bridge.start(mode="their-cockpit")
     rng, good = random.Random(5), datagrams(1, "pedal_command", message("pedal_command", WALK))[0]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as anybody:
         anybody.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
@@ -219,7 +220,7 @@ def test_the_cockpit_of_the_page_drives_through_the_bridge_by_lcms_own_library(b
     page = (ROOT / "docs" / "lcm.md").read_text(encoding="utf-8")
     (cockpit,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     with multicast_loopback() as inside:
-        bridge.start("their-cockpit", inside=inside, port=PORT)
+        bridge.start(mode="their-cockpit", inside=inside, port=PORT)
         with subprocess.Popen([*inside, sys.executable, "-c", cockpit], cwd=ROOT) as theirs:
             bridge.until(lambda: len(bridge.written[LEGS]) > 50)
             theirs.kill()
@@ -244,7 +245,7 @@ def test_a_cockpit_at_the_other_end_of_a_cable_is_heard_until_it_is_pulled_and_a
     theirs, ours, told = "192.168.123.164", "192.168.123.222", message("pedal_command", WALK).hex()
     with Link((theirs, ours), seed=1) as link:
         cockpit, here = link.ends
-        bridge.start("their-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
+        bridge.start(mode="their-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
         stranger = here.popen([sys.executable, "-c", COCKPIT, ours, told], cwd=ROOT)
         bridge.until(lambda: bridge.detail["not_for_us"].get("another computer", 0) > 20)
         assert bridge.written == {}
@@ -322,7 +323,7 @@ REST_LEGS, REST_ARMS = [0.0, 0.0, 0.0, 0.74], [0.0] * 14
 
 def driven(bridge: LcmStation, robot: TheirRobot, commander: Commander) -> None:
     """Start the bridge and drive their robot by all its parts."""
-    bridge.start("our-cockpit")
+    bridge.start(mode="our-cockpit")
     commander.command(legs=WALK, left=SOME_ARMS[:7], right=SOME_ARMS[7:])
     bridge.until(
         lambda: (
@@ -351,7 +352,7 @@ def expect_ramps(robot: TheirRobot) -> None:
 def test_nothing_is_sent_before_the_first_command_then_fifty_times_a_second_without_a_jump(
     bridge: LcmStation, robot: TheirRobot, commander: Commander
 ) -> None:
-    bridge.start("our-cockpit")
+    bridge.start(mode="our-cockpit")
     robot.hear()
     bridge.until(lambda: bridge.detail["channels"]["pedal_command"]["sent"] == 0)
     assert robot.heard == {"pedal_command": [], "arm_action": [], "hand_action": []}
@@ -439,7 +440,7 @@ def test_a_lost_bus_brings_their_robot_to_rest(processes: None, tmp_path: Path, 
 
 
 def test_arms_begin_where_their_robot_has_them(bridge: LcmStation, robot: TheirRobot, commander: Commander) -> None:
-    bridge.start("our-cockpit")
+    bridge.start(mode="our-cockpit")
     stands = [0.0] * 15 + [0.4] * 7 + [-0.4] * 7
     state = types.BODY_CONTROL.encode({"q": stands, "qd": [0.0] * 29, "timestamp_us": 0})
 
@@ -457,7 +458,7 @@ def test_arms_begin_where_their_robot_has_them(bridge: LcmStation, robot: TheirR
 def test_an_arm_that_nobody_commands_stays_where_their_robot_has_it(
     bridge: LcmStation, robot: TheirRobot, commander: Commander
 ) -> None:
-    bridge.start("our-cockpit")
+    bridge.start(mode="our-cockpit")
     state = types.BODY_CONTROL.encode({"q": [0.0] * 22 + [-0.4] * 7, "qd": [0.0] * 29, "timestamp_us": 0})
     bridge.until(lambda: [bridge.peer.send(STATE_CHANNEL, state)] and bridge.detail["robot_heard"])
 
@@ -475,7 +476,7 @@ def test_an_arm_that_nobody_commands_stays_where_their_robot_has_it(
 def test_hands_begin_where_hand_control_has_them_and_stay_when_nobody_commands_them(
     bridge: LcmStation, robot: TheirRobot, bus: Bus
 ) -> None:
-    bridge.start("our-cockpit", hands=True)
+    bridge.start(mode="our-cockpit", hands=True)
     key = keys.action_joints("g1_29_left_hand")
     half = [0.0, 0.5, 0.8, -0.7, -0.8, -0.7, -0.8]
 
@@ -494,7 +495,7 @@ def test_hands_begin_where_hand_control_has_them_and_stay_when_nobody_commands_t
 
 
 def test_somebody_else_who_commands_their_robot_is_told(bridge: LcmStation) -> None:
-    bridge.start("our-cockpit")
+    bridge.start(mode="our-cockpit")
     bridge.until(lambda: [bridge.send("pedal_command", WALK)] and bridge.told("lcm-second-sender"))
     bridge.until(lambda: any(event.detail.get("ended") for event in bridge.told("lcm-second-sender")))
 
@@ -513,7 +514,7 @@ def test_a_robot_at_the_other_end_of_a_cable_hears_our_commands(bridge: LcmStati
     theirs, ours = "192.168.123.164", "192.168.123.222"
     with Link((theirs, ours), seed=1) as link:
         robot, here = link.ends
-        bridge.start("our-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
+        bridge.start(mode="our-cockpit", inside=here.prefix, interface=ours, peer=theirs, port=PORT)
         with robot.popen([sys.executable, "-c", HEARS, theirs], cwd=ROOT) as hearing:
             commander.command(legs=WALK)
             bridge.until(lambda: hearing.poll() is not None)

@@ -76,7 +76,7 @@ def one_topic(address: BusAddress, folder: Path) -> tuple[float, float]:
         "subscribe": [{"topic": "/cmd_vel", "as": "twist", "command": "velocity", "robot": "go2"}],
     }
     with ros2_station(address, folder) as station, Bus(address, name="writer") as bus, Waits.watched() as waits:
-        station.start(table)
+        station.start(table=table)
         station.peer.listen("/joint_states", JOINTS)
         station.until(lambda: published(station, "/joint_states")["peers"])
         write(bus, {"robot_state_go2": values()["robot_state_go2"]})
@@ -107,7 +107,7 @@ def test_what_five_topics_cost_and_that_all_that_is_counted_as_passed_came(
 ) -> None:
     table = {"publish": [{"topic": topic, "as": kind, "key": key} for topic, (kind, key, _) in FIVE.items()]}
     with ros2_station(bus_server, tmp_path) as station, Bus(bus_server, name="writer") as bus:
-        station.start(table)
+        station.start(table=table)
         for topic, (_, _, kind) in FIVE.items():
             station.peer.listen(topic, kind)
         station.until(lambda: all(published(station, topic)["peers"] for topic in FIVE))

@@ -236,12 +236,12 @@ def a_state() -> bytes:
 def test_topics_become_commands_and_states_topics_until_ctrl_c(bridge: Ros2Station, bus: Bus, tmp_path: Path) -> None:
     setup = tmp_path / "setup.bash"
     setup.write_text(f'echo "ROS is set up"\nexport PATH={Path(ros_python()).parent}:$PATH\n')
-    bridge.start(WALK, engaged=True, setup=str(setup), python="python")
+    bridge.start(table=WALK, engaged=True, setup=str(setup), python="python")
     bridge.peer.listen("/joint_states", JOINTS)
     bridge.peer.listen("/imu", IMU)
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5, "y": -0.25}, angular={"z": 0.125})
     bridge.until(lambda: len(bridge.written[VELOCITY]) > 10)
-    assert {tuple(each) for each in bridge.numbers(VELOCITY)} == {(0.5, -0.25, 0.125)}
+    assert {tuple(each) for each in bridge.vectors(VELOCITY)} == {(0.5, -0.25, 0.125)}
 
     def heard() -> bool:
         bus.publish({"robot_state_go2": a_state()})
@@ -268,7 +268,7 @@ def test_topics_become_commands_and_states_topics_until_ctrl_c(bridge: Ros2Stati
 def test_a_node_that_dies_or_stands_still_is_told_of_and_started_again(
     bridge: Ros2Station, bus: Bus, how: signal.Signals
 ) -> None:
-    bridge.start(WALK, engaged=True)
+    bridge.start(table=WALK, engaged=True)
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5})
     bridge.until(lambda: bridge.told("ros2-live"))
     node = bridge.node()
@@ -283,7 +283,7 @@ def test_a_node_that_dies_or_stands_still_is_told_of_and_started_again(
 
 
 def test_a_peer_that_is_killed_is_silent_and_one_that_comes_is_heard(bridge: Ros2Station) -> None:
-    bridge.start(WALK, engaged=True)
+    bridge.start(table=WALK, engaged=True)
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5})
     bridge.until(lambda: bridge.told("ros2-live"))
     bridge.peer.kill()
@@ -292,14 +292,14 @@ def test_a_peer_that_is_killed_is_silent_and_one_that_comes_is_heard(bridge: Ros
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.25})
     bridge.until(lambda: bridge.told("ros2-back"))
     assert bridge.told("ros2-back")[0].detail["silent_s"] >= SILENT_S
-    assert bridge.numbers(VELOCITY)[-1] == [0.25, 0.0, 0.0]
+    assert bridge.vectors(VELOCITY)[-1] == [0.25, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("how", ["server killed", "server frozen", "stopped", "silent"])
 def test_who_is_driven_in_ros_is_told_to_stand_when_the_station_falls_silent(
     bridge: Ros2Station, bus: Bus, how: str
 ) -> None:
-    bridge.start(WALK)
+    bridge.start(table=WALK)
     bridge.peer.listen("/walked", TWIST)
     command = {"action_velocity_go1": codec.json_vector([0.5, 0.0, 0.0])}
 
@@ -327,7 +327,7 @@ def test_who_is_driven_in_ros_is_told_to_stand_when_the_station_falls_silent(
 
 
 def test_services_arm_engage_and_send_to_rest(bridge: Ros2Station) -> None:
-    bridge.start(WALK)
+    bridge.start(table=WALK)
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5})
     bridge.until(lambda: bridge.detail["subscribe"]["/cmd_vel"]["dropped"].get("not-engaged"))
     assert not bridge.written[VELOCITY], "a table with a service to engage begins without"
@@ -344,7 +344,7 @@ def test_services_arm_engage_and_send_to_rest(bridge: Ros2Station) -> None:
 
 
 def test_events_are_diagnostics_and_a_command_through_a_stop_is_dropped(bridge: Ros2Station, bus: Bus) -> None:
-    bridge.start(WALK, engaged=True)
+    bridge.start(table=WALK, engaged=True)
     bridge.peer.listen("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     bridge.until(lambda: bridge.detail["publish"]["/diagnostics"]["peers"])
     bridge.peer.publish("/cmd_vel", TWIST, linear={"x": 0.5})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -125,6 +126,19 @@ def test_the_servers_of_an_agent_that_is_killed_finish_and_a_new_agent_starts_no
             assert "the agent of host 'robot' was started anew, and its servers have ended" in station.text
             wait_until(lambda: are_gone(pids))
             assert site.pids() == []
+
+
+def test_an_agent_that_ends_lets_its_servers_finish_and_the_station_is_told(site: Site) -> None:
+    with site.desk.running(*site.up(*BOTH, "--record", "--task", "t")) as station:
+        station.wait_for("✓ start motion on robot")
+        pids = site.pids()
+        site.agent.interrupt()
+        assert site.agent.finish()[0] == 0
+        assert are_gone(pids)
+        code, _ = station.finish()
+    assert code == 1
+    assert re.search(r"server '(motion|recorder)' ended with code 0", station.text), station.text
+    assert site.robot.json("episodes", "show", "latest")["manifest"]["state"] == "finished"
 
 
 @pytest.mark.timeout(120)
