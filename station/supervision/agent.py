@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
 
@@ -38,8 +37,6 @@ _MOST_LINES = 50
 _LONGEST_LINE = 500
 _REFUSED = 2  # exit code of what would be refused the same way again
 
-Name = Annotated[str, msgspec.Meta(pattern=rf"\A{SERVER_NAME.pattern}\Z")]
-
 
 class AgentConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of an agent.
@@ -49,11 +46,13 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         allow: Kinds of servers that may be started here; none for all that are installed.
     """
 
-    host: Name
+    host: str
     allow: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a kind that is not installed."""
+        """Refuse a name that no runbook may have, and a kind that is not installed."""
+        if not SERVER_NAME.fullmatch(self.host):
+            raise ValueError(f"expected a name of letters, digits, - and _, got {self.host!r}")
         for kind in self.allow:
             registry.find("server", kind)
 

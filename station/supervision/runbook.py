@@ -339,9 +339,9 @@ def _places(hosts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     for text in hosts:
         name, is_given, host = text.partition("=")
         if not is_given or name not in names:
+            hint = "" if name in names else did_you_mean(name, names)
             raise UsageError(
-                f"--on {text}{did_you_mean(name, names)}: expected SERVER=HOST, with a server that the runbook starts: "
-                f"{', '.join(names)}"
+                f"--on {text}{hint}: expected SERVER=HOST, with a server that the runbook starts: {', '.join(names)}"
             )
         found[name] = host
     return found

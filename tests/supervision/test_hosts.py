@@ -66,9 +66,11 @@ def test_a_machine_that_has_not_joined_is_named_with_what_to_do(site: Site) -> N
     said = one_line(site.desk.run(*site.up("--on", "motion=robto")))
     assert "host 'robto' (did you mean 'robot'?) has not joined" in said
     assert "run `station host join --name robto`; joined: robot" in said
-    assert "expected SERVER=HOST, with a server that the runbook starts: recorder, motion" in one_line(
-        site.desk.run(*site.up("--on", "mtion=robot"))
-    )
+    for wrong, hint in (("mtion=robot", " (did you mean 'motion'?)"), ("motion", "")):
+        expected = f"--on {wrong}{hint}: expected SERVER=HOST, with a server that the runbook starts: recorder, motion"
+        assert expected in one_line(site.desk.run(*site.up("--on", wrong)))
+    said = one_line(site.robot.run("host", "join", "--name", "a b"))
+    assert said.endswith("expected a name of letters, digits, - and _, got 'a b'")
 
 
 def test_a_machine_serves_one_station_at_a_time(site: Site) -> None:
