@@ -31,6 +31,11 @@ from tests.waiting import wait_until
 ROBOT_ADDRESS, OPERATOR_ADDRESS = "192.168.123.164", "192.168.123.222"
 GUARD_PORT = 47029
 DOMAIN = 0  # a robot's; each cable is a network of its own
+FASTEST_RAD_S = 3.0
+"""Of any joint, from the moment in which the cable is pulled (R10)."""
+ATTEMPTS = 3
+"""A busy machine silences a line as well."""
+
 _READY_S = 40.0
 _RECENT_NS = 2_000_000_000
 _NEAR_RAD, _FAR_RAD = 0.1, 0.25  # it sags by 0.04 in its pose, and hangs up to 0.4 from it
@@ -118,6 +123,10 @@ class Deployment:
             wait_until(lambda: self.seen().get("why_not_arm") == "", _READY_S)
         except AssertionError:
             raise AssertionError(f"seen: {self.seen()}; twin: {self.twin()}") from None
+
+    def wait_for_the_doctor(self, words: str) -> None:
+        """Wait until the operator's doctor says something: a busy machine holds back a server's heartbeat."""
+        wait_until(lambda: words in self.operator_home.run("doctor").stdout)
 
     def arm(self) -> None:
         """Arm, and wait until the robot is at its full stiffness."""

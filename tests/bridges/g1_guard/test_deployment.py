@@ -1,8 +1,7 @@
-"""A G1 across a cable (R10, R11): discovered by multicast, driven, and damped by its guard when the cable is pulled."""
+"""A G1 across a cable (R10): discovered by multicast, driven, and damped by its guard when the cable is pulled."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,16 +12,12 @@ pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 from station import Station
 from station.errors import Refused
 from tests.bridges.g1_guard import wire_log
-from tests.bridges.g1_guard.deployment import ROBOT_ADDRESS, Deployment, deployment
+from tests.bridges.g1_guard.deployment import ATTEMPTS, FASTEST_RAD_S, ROBOT_ADDRESS, Deployment, deployment
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.timeout(300)
 
-FASTEST_RAD_S = 3.0
-"""Of any joint, from the moment in which the cable is pulled (R10)."""
 WATCHED_S = 6.0
-ATTEMPTS = 3
-"""A busy machine silences a line as well."""
 
 
 @pytest.fixture(scope="module")
@@ -95,61 +90,12 @@ def test_a_line_that_is_too_bad_is_not_armed_over_and_what_is_lost_is_told(good)
     good.wait_ready()
     good.link.change(loss=0.05, out_of=good.robot)
     wait_until(lambda: "% are lost on the way: is the cable good" in good.seen()["why_not_arm"])
-    with Station(good.operator_home.bus.url) as station, pytest.raises(Refused, match="are lost on the way"):
-        station.arm()
-    _wait_for_the_doctor(good, "are lost on the way")
 
+    def is_refused_for_it() -> bool:
+        with pytest.raises(Refused) as refused:  # a busy machine, too, is a reason, and may be the first one
+            station.arm()
+        return "% are lost on the way" in str(refused.value)
 
-@pytest.fixture
-def bare(compiler: str, network_links: None, real_time: None, tmp_path: Path) -> Iterator[Deployment]:
-    """A robot whose firmware holds the last command for ever, and nothing on its computer that would damp it."""
-    with deployment(tmp_path) as found:
-        found.start_twin("faults.without_commands=hold")
-        yield found
-
-
-def test_r11_without_a_guard_a_cable_that_is_pulled_leaves_the_robot_stiff_and_the_doctor_says_so(bare):
-    bare.start_server()
-    bare.wait_ready()
-    _wait_for_the_doctor(bare, "no guard owns the motors")
-    _is_left_stiff(bare)
-
-
-def test_r11_a_guard_beside_the_station_does_not_help_when_the_cable_is_pulled_and_the_doctor_says_so(bare, plain):
-    bare.start_guard(plain, bare.operator, "127.0.0.1")
-    bare.start_server("127.0.0.1")
-    bare.wait_ready()
-    _wait_for_the_doctor(bare, "not when the robot's cable is cut")
-    _is_left_stiff(bare)
-
-
-def _wait_for_the_doctor(found: Deployment, words: str) -> None:
-    """Wait until the doctor says something of a server whose heartbeat a busy machine holds back for seconds."""
-    wait_until(lambda: words in found.operator_home.run("doctor").stdout)
-
-
-def _wait_for_states(found: Deployment, more: int) -> None:
-    until = found.twin()["states"]["sent"] + more
-    wait_until(lambda: found.twin()["states"]["sent"] > until)
-
-
-def _is_left_stiff(found: Deployment) -> None:
-    """Arm, pull the cable, see that the robot holds what it was told last, and that it is damped once the cable is
-    back."""
-    for _ in range(ATTEMPTS):
-        found.arm()
-        armed_ns = time.monotonic_ns()
-        pulled_ns = found.link.pull(found.operator)
-        wait_until(lambda: found.seen()["arming"] == "disarmed")
-        _wait_for_states(found, 1000)  # two seconds of the robot's
-        if not found.first_damping_ns(armed_ns):  # else it was given up before: nothing gets through a cable pulled
-            break
-        found.link.plug()
-    else:
-        raise AssertionError(f"gave the robot up {ATTEMPTS} times, {found.last_told('robot-fault')}")
-    assert found.twin()["is_stiff"], "what a guard on the robot's computer is for"
-    found.link.plug()
-    wait_until(lambda: found.twin()["is_damped"])
-    assert found.wire(wire_log.STATE, pulled_ns)["most_speed"].max() < FASTEST_RAD_S
-    found.wait_ready()
-    assert found.twin()["is_damped"]
+    with Station(good.operator_home.bus.url) as station:
+        wait_until(is_refused_for_it)
+    good.wait_for_the_doctor("are lost on the way")

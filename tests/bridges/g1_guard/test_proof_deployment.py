@@ -10,14 +10,13 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from tests.bridges.g1_guard import wire_log
-from tests.bridges.g1_guard.deployment import ROBOT_ADDRESS, Deployment, deployment
+from tests.bridges.g1_guard.deployment import FASTEST_RAD_S, ROBOT_ADDRESS, Deployment, deployment
 from tests.figures import Figures
 from tests.lateness import TooLate, Waits, in_time
 from tests.waiting import wait_until
 
 PULLS = 20
 PROMISED_S, SOONEST_S = 0.11, 0.0995
-FASTEST_RAD_S = 3.0
 OUT_FOR_S = 3.0
 RAMP_NS = 400_000_000  # 300 ms, and a margin: no stiffness is left
 MINUTE_S = 60.0
