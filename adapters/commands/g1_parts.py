@@ -3,6 +3,7 @@
 | part | command | key, of the robot ``g1_29`` |
 |---|---|---|
 | ``legs`` | `velocity`, `velocity-height` or `velocity-posture` | ``action_<format>_g1_29_legs`` |
+| | or what a policy elsewhere asks of them (`adapters.commands.leg_targets`) | ``action_targets_g1_29_legs`` |
 | ``left_arm``, ``right_arm`` | 7 joint positions [rad] | ``action_joints_g1_29_left_arm``, ``…_right_arm`` |
 | ``left_hand``, ``right_hand`` | 7 of a Dex3-1 [rad]; of the robot ``g1_dex3`` alone | ``…_left_hand``, … |
 """
@@ -14,6 +15,7 @@ from dataclasses import fields
 import numpy as np
 
 from adapters.commands.hand import HandCommand, Side
+from adapters.commands.leg_targets import LegTargets
 from adapters.commands.velocity import FORMATS
 from adapters.robots.g1 import joints as g1
 from station.arms import JointCommand
@@ -81,7 +83,7 @@ class LegsAndArms(PartedCommand):
     """As `PartedCommand`; the legs' range is that of their policy (`station.protocols.ForAnyRobot`).
 
     Args:
-        legs: The velocities.
+        legs: The velocities, or the targets of a policy elsewhere.
         robot: Suffix of the robot's keys; "" for any.
         lower, upper: Range of each element, shape (m,), of which that of the legs counts; None for its own.
         hands: Whether both hands are parts as well.
@@ -96,7 +98,8 @@ class LegsAndArms(PartedCommand):
             f"{robot}_legs", None if lower is None else lower[:-count], None if upper is None else upper[:-count]
         )
         limbs = [make(side, robot) for make in ((arm, hand) if hands else (arm,)) for side in ARM]
-        super().__init__(f"g1-{'hands' if hands else 'arms'}-{bound.name}", robot, (bound, *limbs))
+        name = bound.name.removeprefix("g1-")
+        super().__init__(f"g1-{'hands' if hands else 'arms'}-{name}", robot, (bound, *limbs))
         self._legs, self._hands = legs, hands
 
     def for_robot(self, robot: str, lower: Floats | None = None, upper: Floats | None = None) -> CommandFormat:
@@ -108,6 +111,7 @@ VELOCITY, VELOCITY_HEIGHT, VELOCITY_POSTURE = (LegsAndArms(each) for each in FOR
 HANDS_VELOCITY, HANDS_VELOCITY_HEIGHT, HANDS_VELOCITY_POSTURE = (
     LegsAndArms(each, hands=True) for each in FORMATS.values()
 )
+LEG_TARGETS = LegsAndArms(LegTargets())
 LEFT_ARM, RIGHT_ARM = (arm(side, "g1_29") for side in ARM)
 """Of the simulated G1, for the driver `arm-joints`."""
 LEFT_HAND, RIGHT_HAND = (hand(side, "g1_dex3") for side in HAND)
