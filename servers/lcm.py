@@ -1,6 +1,8 @@
-"""The LCM bridge: HOMIE's cockpit drives our robot, or we drive a robot that HOMIE's programs move.
+"""The LCM bridge: HOMIE's cockpit or its policy drives our robot, or we drive a robot that HOMIE's programs move.
 
 ===============  ======================================================================================================
+`their-policy`   tells HOMIE's policy where our robot is, as its ``g1_control`` would, and writes what it asks of the
+                 legs, and what a cockpit asks of the arms. While it sends nothing the robot stands by itself.
 `their-cockpit`  hears HOMIE's channels and writes the command of each part as it comes. A channel that falls silent
                  writes nothing more: the robot's gate does the rest.
 `our-cockpit`    sends HOMIE's channels 50 times a second, of the commands on the bus. Their robot does what came last
@@ -18,8 +20,9 @@ import contextlib
 import ipaddress
 import math
 import re
-from collections.abc import Iterator, Sequence
-from typing import Any, Literal
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Literal, Self
 
 import msgspec
 import numpy as np
@@ -27,8 +30,8 @@ import numpy as np
 from adapters.lcm import homie, types
 from adapters.lcm.homie import Legs, Route
 from adapters.lcm.message import BadMessage
-from adapters.lcm.multicast import GROUP, LOOPBACK, PORT, Multicast, Sender
-from station.bus import codec
+from adapters.lcm.multicast import GROUP, LOOPBACK, PORT, Multicast, Received, Sender
+from station.bus import codec, keys
 from station.config import to_plain
 from station.control.foreign_commander import ForeignCommander
 from station.control.foreign_robot import ForeignRobot, Rest
@@ -46,13 +49,27 @@ from station.life.server import Life, ServerKind
 from station.parts import PartedCommand, part_name
 from station.protocols import Floats
 
-Mode = Literal["their-cockpit", "our-cockpit"]
+Mode = Literal["their-policy", "their-cockpit", "our-cockpit"]
 
 RATE_HZ = 50.0
 """Messages per second on each channel that we send: HOMIE's policy runs as often."""
 
 HEIGHT_M_S, ARMS_RAD_S = 0.25, 1.0
 """How fast a robot of theirs is brought to rest: its height, and its arms. Velocities end as everywhere."""
+
+STATE_HZ = 200.0
+"""How often their policy is told where the robot is, as ``g1_control`` does."""
+
+STEADY_HZ, STEADY_S = 30.0, 0.3
+"""Targets are followed once they have come so often for so long: their policy sends 50 a second, and 14 while it
+calibrates, when it asks for a pose that it has not tried out whether a robot stands in it."""
+
+PRESS_AFTER_S, PRESS_EVERY_S, PRESS_S = 1.0, 2.0, 0.2
+"""R2 of the remote is pressed once no targets have come for so long, again each so often, for so long [s]."""
+
+_LOOK_S = 0.02
+_STATE_SIZE = 65
+_GATE_S = 0.5  # a living robot says the state of its gate fifty times a second
 
 _NAME = re.compile(r"[a-z0-9_]+")
 
@@ -61,10 +78,11 @@ class LcmConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Configuration of the LCM bridge.
 
     Attributes:
-        mode: ``their-cockpit`` drives our robot by HOMIE's channels; ``our-cockpit`` drives a robot of HOMIE's by the
-            commands on the bus.
+        mode: ``their-cockpit`` drives our robot by HOMIE's channels; ``their-policy`` has HOMIE's policy move its legs;
+            ``our-cockpit`` drives a robot of HOMIE's by the commands on the bus.
         robot: Which commands, by the end of the robot's keys.
-        legs: Command format of the legs: ``velocity-height``, or ``velocity`` for a policy that takes no height.
+        legs: Command format of the legs: ``velocity-height``, or ``velocity`` for a policy that takes no height; of no
+            use to ``their-policy``.
         hands: Whether ``hand_action`` is passed on: the robot has Dex3-1 hands, as ``g1_dex3`` has.
         interface: IPv4 address of this computer, in the network of the others; LCM stays on this computer unless
             another than 127.0.0.1 is named.
@@ -85,6 +103,8 @@ class LcmConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.robot):
             raise ValueError(f"robot is {self.robot!r}; expected the end of a robot's keys, such as g1_29")
+        if self.hands and self.mode == "their-policy":
+            raise ValueError("hands is true; expected false with mode their-policy: its robot has none")
         here = _ipv4("interface", self.interface)
         if here.is_unspecified or here.is_multicast:
             raise ValueError(f"interface is {here}; expected the one address that this computer has in that network")
@@ -108,8 +128,12 @@ def _ipv4(name: str, text: str) -> ipaddress.IPv4Address:
 
 def main(config: LcmConfig, life: Life) -> int:
     """Pass commands on until asked to stop; return the exit code."""
-    command = homie.command_of(config.robot, config.legs, hands=config.hands)
-    routes = homie.routes(command)
+    if config.mode == "their-policy":
+        command = homie.low_level_of(config.robot)
+        routes = homie.low_level_routes(command)
+    else:
+        command = homie.command_of(config.robot, config.legs, hands=config.hands)
+        routes = homie.routes(command)
     with contextlib.closing(
         Multicast(config.group, config.port, interface=config.interface, peer=config.peer, clock=life.clock)
     ) as lcm:
@@ -121,9 +145,13 @@ def main(config: LcmConfig, life: Life) -> int:
         if not life.ready():
             return 0
         if config.mode == "their-cockpit":
-            _their_cockpit(life, lcm, routes).run()
+            _commander(life, lcm, [ChannelIntake(route) for route in routes], lambda: lcm.receive(_LOOK_S)).run()
+            return 0
+        life.report(scheduling=real_time())
+        if config.mode == "their-policy":
+            with OurRobot(life, lcm, config.robot) as robot:
+                _commander(life, lcm, [TargetsIntake(routes[0]), ChannelIntake(routes[1])], robot.receive).run()
         else:
-            life.report(scheduling=real_time())
             with OurCockpit(life, lcm, command) as ours:
                 ours.run()
     return 0
@@ -132,7 +160,7 @@ def main(config: LcmConfig, life: Life) -> int:
 KIND = ServerKind(
     name="lcm",
     role="command",
-    summary="HOMIE's LCM channels: its cockpit drives our robot, or ours its robot",
+    summary="HOMIE's LCM channels: its cockpit or policy drives our robot, or our cockpit its robot",
     config=LcmConfig,
     main=main,
 )
@@ -159,27 +187,198 @@ class ChannelIntake(ForeignStream):
         if not np.isfinite(numbers).all():
             return Dropped("not-finite", f"a number of {self.route.channel.field} is not finite")
         values = {}
-        for each, vector in zip(self.route.formats, self.route.commands(numbers), strict=True):
+        for each, vector in zip(self.route.formats, self.route.commands(self._numbers(numbers)), strict=True):
             data = codec.json_vector(vector)
             if (why_not := why_no_command(data, each)) is not None:
                 return why_not
             values[each.key] = data
         return values
 
+    def _numbers(self, numbers: Sequence[float]) -> Sequence[float]:
+        """Return what of a message's numbers are the command."""
+        return numbers
+
+
+class TargetsIntake(ChannelIntake):
+    """As `ChannelIntake`, of the targets of their policy, from when it has begun to run."""
+
+    def __init__(self, route: Route) -> None:
+        super().__init__(route)
+        self._came_s = deque[float](maxlen=round(STEADY_HZ * STEADY_S) + 1)
+        self._is_steady = False
+
+    def _numbers(self, numbers: Sequence[float]) -> Sequence[float]:
+        return homie.leg_command(numbers)
+
+    def _commands(self, message: bytes, arrived_s: float) -> dict[str, bytes] | Dropped:
+        found = super()._commands(message, arrived_s)
+        if isinstance(found, Dropped):
+            return found
+        if self._came_s and arrived_s - self._came_s[-1] > STEADY_S:
+            self._came_s.clear()
+            self._is_steady = False
+        self._came_s.append(arrived_s)
+        took_s = arrived_s - self._came_s[0]
+        self._is_steady = self._is_steady or (len(self._came_s) == self._came_s.maxlen and took_s <= STEADY_S)
+        if self._is_steady:
+            return found
+        rate = f"{(len(self._came_s) - 1) / took_s:.0f} messages a second" if took_s > 0.0 else "the first message"
+        expected = f"{STEADY_HZ:g} or more a second for {STEADY_S:g} s"
+        return Dropped("not-steady", f"{rate}, expected {expected}; a policy that calibrates is waited for")
+
 
 def _spoken(sender: Sender) -> str:
     return f"{sender[0]}:{sender[1]}"
 
 
-def _their_cockpit(life: Life, lcm: Multicast, routes: Sequence[Route]) -> ForeignCommander:
-    """Return what passes on the messages of a cockpit."""
+def _commander(
+    life: Life, lcm: Multicast, intakes: Sequence[ChannelIntake], receive: Callable[[], Iterable[Received]]
+) -> ForeignCommander:
+    """Return what passes on the messages of some channels."""
 
-    def receive(timeout_s: float) -> Iterator[tuple[str, Arrived]]:
-        for each in lcm.receive(timeout_s):
+    def received(_: float) -> Iterator[tuple[str, Arrived]]:
+        for each in receive():
             yield each.channel, Arrived(each.message, _spoken(each.sender), each.arrived_ns * 1e-9)
 
-    intakes = [(ChannelIntake(route), [part.robot for part in route.formats]) for route in routes]
-    return ForeignCommander(life, "lcm", "channel", intakes, receive, lcm.dropped)
+    streams = [(intake, [part.robot for part in intake.route.formats]) for intake in intakes]
+    return ForeignCommander(life, "lcm", "channel", streams, received, lcm.dropped)
+
+
+class Outlet:
+    """Sends messages; counts them, and tells when that fails and when it does again.
+
+    Args:
+        life: The server's.
+        lcm: Where it sends.
+
+    Attributes:
+        sent: Messages of each channel.
+        unsent: Those that could not be sent.
+    """
+
+    def __init__(self, life: Life, lcm: Multicast) -> None:
+        self._life, self._lcm = life, lcm
+        self.sent, self.unsent, self._why_not = Counter[str](), 0, ""
+
+    def send(self, channel: str, message: bytes) -> None:
+        """Send a message."""
+        why_not = self._lcm.send(channel, message)
+        self.sent[channel] += not why_not
+        self.unsent += bool(why_not)
+        if why_not != self._why_not:
+            severity: Severity = "error" if why_not else "info"
+            self._life.event("lcm-unsent", severity=severity, channel=channel, reason=why_not, ended=not why_not)
+            self._why_not = why_not
+
+
+class Rivals:
+    """Whether somebody else sends on channels that are ours to send on.
+
+    Args:
+        life: The server's.
+    """
+
+    def __init__(self, life: Life) -> None:
+        self._life, self._heard_s = life, -math.inf
+
+    def record(self, heard: Received) -> None:
+        """Record a message of somebody else."""
+        if self._heard_s == -math.inf:
+            detail = {"channel": heard.channel, "sender": _spoken(heard.sender)}
+            self._life.event("lcm-second-sender", severity="warning", **detail)
+        self._heard_s = heard.arrived_ns * 1e-9
+
+    def on_tick(self, now_s: float) -> None:
+        """Tell when that has ended, at an instant [s]."""
+        if now_s - self._heard_s > SILENT_S and self._heard_s != -math.inf:
+            self._heard_s = -math.inf
+            self._life.event("lcm-second-sender", ended=True)
+
+
+class OurRobot:
+    """Tells their policy where our robot is, and presses its buttons. A context manager.
+
+    R2 is what a person presses there to have it calibrate, and once more to have it begin. Here a person arms the
+    robot; while it is armed and no targets come, R2 is pressed now and then, whatever it is that they wait for.
+
+    Args:
+        life: The server's.
+        lcm: Where their policy hears.
+        robot: Suffix of the robot's keys.
+    """
+
+    def __init__(self, life: Life, lcm: Multicast, robot: str) -> None:
+        self._life, self._lcm, self._clock = life, lcm, life.clock
+        self._state_key, self._gate_key = keys.robot_state(robot), keys.command_gate(robot)
+        self._watch = life.bus.watch([self._state_key, self._gate_key])
+        self._outlet, self._rivals = Outlet(life, lcm), Rivals(life)
+        self._due_s = self._came_s = self._pressed_s = self._clock.monotonic_s()
+        self._is_told = False  # whether their policy is told where the robot is
+        self._presses = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._watch.close()
+
+    def receive(self) -> Iterator[Received]:
+        """Tell where the robot is, if that is due; yield what comes until it is due again."""
+        now_s = self._clock.monotonic_s()
+        if now_s >= self._due_s:
+            self._due_s = max(self._due_s + 1.0 / STATE_HZ, now_s)
+            self._tell(now_s)
+        for each in self._lcm.receive(max(0.0, self._due_s - self._clock.monotonic_s())):
+            if each.channel in self._outlet.sent:
+                self._rivals.record(each)
+                continue
+            if each.channel == homie.TARGETS_CHANNEL.name:
+                self._came_s = each.arrived_ns * 1e-9
+            yield each
+
+    def _tell(self, now_s: float) -> None:
+        self._rivals.on_tick(now_s)
+        state = self._state()
+        if (state is not None) != self._is_told:
+            self._is_told = state is not None
+            then = {} if self._is_told else {"then": "their policy is told nothing"}
+            severity: Severity = "info" if self._is_told else "warning"
+            self._life.event("lcm-robot-told" if self._is_told else "lcm-robot-silent", severity=severity, **then)
+        if state is not None:
+            messages = homie.robot_messages(state, is_pressed=self._is_pressed(now_s))
+            for channel, message in messages.items():
+                self._outlet.send(channel, message)
+        told = {"sent": dict(self._outlet.sent), "unsent": self._outlet.unsent, "presses": self._presses}
+        self._life.report(**told, robot_heard=self._is_told)
+
+    def _state(self) -> Floats | None:
+        """Return the robot's state, shape (65,), if it says one that is new."""
+        sample = self._watch.latest(self._state_key, max_age_s=LATE_S)
+        if sample is None:
+            return None
+        try:
+            state = codec.parse_f64(sample.value)
+        except codec.BadValue:
+            return None
+        return state if state.shape == (_STATE_SIZE,) and np.isfinite(state).all() else None
+
+    def _is_pressed(self, now_s: float) -> bool:
+        """Return whether R2 is down; tell each time that it is pressed."""
+        since_s = now_s - self._pressed_s
+        if self._presses and since_s < PRESS_S:
+            return self._came_s < self._pressed_s
+        if now_s - self._came_s < PRESS_AFTER_S or since_s < PRESS_EVERY_S or not self._is_armed():
+            return False
+        self._pressed_s, self._presses = now_s, self._presses + 1
+        if self._presses == 1:
+            self._life.event("lcm-pressed", button="R2", then="again while no targets come")
+        return True
+
+    def _is_armed(self) -> bool:
+        """Whether the robot's server says that it is armed, and not stopped."""
+        sample = self._watch.latest(self._gate_key, max_age_s=_GATE_S)
+        gate = codec.parse_facts(None if sample is None else sample.value)
+        return gate.get("arming") == "armed" and gate.get("state") != "stopped"
 
 
 class OurCockpit(ForeignRobot):
@@ -202,10 +401,9 @@ class OurCockpit(ForeignRobot):
         at_end = "their robot stands, its arms at rest"
         super().__init__(life, command, word="lcm", rests=rests, rate_hz=RATE_HZ, at_end=at_end)
         self._lcm, self._routes = lcm, homie.routes(command)
-        self._sent = dict.fromkeys((route.channel.name for route in self._routes), 0)
-        self._unsent, self._why_unsent = 0, ""
+        self._outlet, self._rivals = Outlet(life, lcm), Rivals(life)
+        self._ours = {route.channel.name for route in self._routes}
         self._measured: tuple[float, Sequence[float]] | None = None
-        self._rival_s = -math.inf
 
     def where(self, name: str, now_s: float) -> Floats | None:
         """Return where their robot has an arm, if it says so and no arm was commanded yet.
@@ -228,42 +426,29 @@ class OurCockpit(ForeignRobot):
                     joints = types.BODY_CONTROL.decode(each.message)["q"]
                     if isinstance(joints, tuple) and np.isfinite(joints).all():
                         self._measured = each.arrived_ns * 1e-9, joints
-            elif each.channel in self._sent:
-                if self._rival_s == -math.inf:
-                    detail = {"channel": each.channel, "sender": _spoken(each.sender)}
-                    self.life.event("lcm-second-sender", severity="warning", **detail)
-                self._rival_s = each.arrived_ns * 1e-9
-        if self.clock.monotonic_s() - self._rival_s > SILENT_S and self._rival_s != -math.inf:
-            self._rival_s = -math.inf
-            self.life.event("lcm-second-sender", ended=True)
+            elif each.channel in self._ours:
+                self._rivals.record(each)
+        self._rivals.on_tick(self.clock.monotonic_s())
 
     def send(self, dt_s: float) -> None:
         """Send the channels on which anything was commanded yet."""
         for route in self._routes:
             parts = [self.parts[name] for name in route.channel.parts]
-            name = route.channel.name
-            if not any(part.is_begun for part in parts):
-                continue
-            numbers = route.numbers([part.vector for part in parts])
-            why_not = self._lcm.send(name, route.channel.kind.encode({route.channel.field: numbers}))
-            self._sent[name] += not why_not
-            self._unsent += bool(why_not)
-            if why_not != self._why_unsent:
-                severity: Severity = "error" if why_not else "info"
-                self.life.event("lcm-unsent", severity=severity, channel=name, reason=why_not, ended=not why_not)
-                self._why_unsent = why_not
+            if any(part.is_begun for part in parts):
+                numbers = route.numbers([part.vector for part in parts])
+                self._outlet.send(route.channel.name, route.channel.kind.encode({route.channel.field: numbers}))
 
     def facts(self, now_s: float) -> dict[str, Any]:
         """Return what was sent on each channel, and how its parts are."""
         return {
             "channels": {
                 route.channel.name: {
-                    "sent": self._sent[route.channel.name],
+                    "sent": self._outlet.sent[route.channel.name],
                     "parts": {name: self.parts[name].status(now_s) for name in route.channel.parts},
                 }
                 for route in self._routes
             },
-            "unsent": self._unsent, "robot_heard": self._measured is not None,
+            "unsent": self._outlet.unsent, "robot_heard": self._measured is not None,
         }  # fmt: skip
 
 

@@ -6,7 +6,15 @@
 | ``arm_action`` | ``left_arm``, ``right_arm``: 7 joints each, from the shoulder to the wrist [rad] |
 | ``hand_action`` | ``left_hand``, ``right_hand``: 7 joints of a Dex3-1 each, in the order of its motors [rad] |
 
-Whoever commands sends these three. HOMIE's ``g1_control`` and ``hand_control`` do what came last for ever, whatever its
+Whoever commands sends these three. HOMIE's policy hears where the robot is and sends what its legs are to do:
+
+| channel | from | what |
+|---|---|---|
+| ``state_estimator_data``, ``body_control_data`` | ``g1_control`` | orientation, gyro; 29 joints; 200 times a second |
+| ``rc_command`` | ``g1_control`` | the remote's buttons, of which the policy knows R2 |
+| ``pd_plustau_targets`` | the policy | ``legs``: the first 12 of 29 joints [rad]; 50 times a second |
+
+HOMIE's ``g1_control`` and ``hand_control`` do what came last for ever, whatever its
 range or speed. Facts: InternRobotics/OpenHomie, HomieDeploy.
 """
 
@@ -19,11 +27,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from adapters.commands.g1_parts import ARMS, HANDS, LegsAndArms
+from adapters.commands.leg_targets import SHARE, LegTargets
 from adapters.commands.velocity import FORMATS, HEIGHT
 from adapters.lcm import types
 from adapters.lcm.message import MessageType
 from station.parts import PartedCommand, part_name
 from station.protocols import CommandFormat, Floats
+from station.rotations import roll_pitch_yaw, rotate_inverse
 
 Legs = Literal["velocity", "velocity-height"]
 """Command formats of legs that HOMIE's pedals can be; `velocity` has no height."""
@@ -51,8 +61,13 @@ CHANNELS = (
     Channel("hand_action", types.HAND_ACTION, "act", ("left_hand", "right_hand")),
 )
 
+TARGETS_CHANNEL = Channel("pd_plustau_targets", types.TARGETS, "q_des", ("legs",))
+"""On it HOMIE's policy says what the joints are to do; of the legs alone it is obeyed."""
+
 STATE_CHANNEL = "body_control_data"
 """On it ``g1_control`` tells where the 29 joints are, 200 times a second, as `types.BODY_CONTROL`."""
+
+_GRAVITY_M_S2 = 9.81
 
 
 HANDS_AT_START = {
@@ -114,3 +129,42 @@ def routes(command: PartedCommand) -> tuple[Route, ...]:
         for channel in CHANNELS
         if set(channel.parts) <= formats.keys()
     )
+
+
+def low_level_of(robot: str) -> PartedCommand:
+    """Return the command of a robot whose legs HOMIE's policy moves, and whose arms are commanded as HOMIE's are."""
+    return LegsAndArms(LegTargets(), robot)
+
+
+def low_level_routes(command: PartedCommand) -> tuple[Route, ...]:
+    """Return the channels that command such a robot: the targets, and arms."""
+    legs, *arms = command.parts
+    return Route(TARGETS_CHANNEL, (legs,)), Route(CHANNELS[1], tuple(arms))
+
+
+def leg_command(targets: Sequence[float]) -> list[float]:
+    """Return the command of the legs, 13 numbers, of 29 targets [rad]: followed, with nothing of the station's own."""
+    return [*targets[:SHARE], 1.0]
+
+
+def robot_messages(state: Floats, *, is_pressed: bool) -> dict[str, bytes]:
+    """Return what HOMIE's ``g1_control`` tells of a robot, by channel; what it leaves at zero is zero.
+
+    Its accelerometer says what one of a robot at rest does: the policy does not look at it.
+
+    Args:
+        state: 29 positions [rad] and velocities [rad/s], orientation wxyz, gyro [rad/s]; shape (65,).
+        is_pressed: Whether R2 of the remote is down.
+    """
+    q, dq, quat_wxyz, gyro = np.split(state, [29, 58, 62])
+    zeros = {field.name: [0] * field.length if field.length else 0 for field in types.RC_COMMAND.fields}
+    unknown = {field.name: [0.0] * field.length for field in types.STATE_ESTIMATOR.fields if field.length}
+    told = {
+        "rpy": roll_pitch_yaw(quat_wxyz).tolist(), "omegaBody": gyro.tolist(),
+        "aBody": rotate_inverse(quat_wxyz, [0.0, 0.0, _GRAVITY_M_S2]).tolist(),
+    }  # fmt: skip
+    return {
+        "state_estimator_data": types.STATE_ESTIMATOR.encode(unknown | told | {"timestamp_us": 0}),
+        STATE_CHANNEL: types.BODY_CONTROL.encode({"q": q.tolist(), "qd": dq.tolist(), "timestamp_us": 0}),
+        "rc_command": types.RC_COMMAND.encode(zeros | {"right_lower_right_switch": int(is_pressed)}),
+    }

@@ -1,18 +1,28 @@
-"""Two stations that meet on LCM alone: one has the devices, the other the robot."""
+"""Two stations that meet on LCM alone: one has the devices, the other the robot; and a policy of others."""
 
 from __future__ import annotations
 
+import os
+import shlex
+import signal
 import subprocess
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+import station
 from station.episode.storage.manifest import load_manifest
+from tests.adapters.lcm.library import expect_library
+from tests.adapters.lcm.loopback import multicast_loopback
 from tests.adapters.lcm.test_multicast import free_port
-from tests.main_job.station_runs import Terminal
-from tests.waiting import DEADLINE_S
+from tests.main_job.station_runs import ROOT, Terminal
+from tests.waiting import DEADLINE_S, wait_until
 
 FAKES = (
     "gamepad.fake=builtin:gamepad/example.json",
@@ -52,3 +62,131 @@ def test_a_gamepad_of_one_station_walks_the_robot_of_another_over_lcm(tmp_path: 
     assert len(live) <= 2, (
         "once for the pedals, and where a leader's script came near enough to its arm, once for those"
     )
+
+
+# -- A policy of others moves our robot ------------------------------------------------------------------------------
+PEDALS = """
+import sys, time
+from adapters.lcm import types
+from adapters.lcm.multicast import Multicast
+to, message = Multicast(), types.COMMAND.encode({"command": [0.4, 0.0, 0.0, 0.74]})
+while True:
+    to.send("pedal_command", message)
+    time.sleep(0.02)
+"""
+HOMIE = "STATION_HOMIE"
+_NO_HOMIE = (
+    f"{HOMIE} does not say how HOMIE's own policy is started: the command line of its deploy_policy.py here, which is "
+    "not part of the station"
+)
+WALKS_S = 6.0
+
+
+class Run:
+    """The station in a network of its own, whose robot a policy moves over LCM.
+
+    Args:
+        folder: For the bus and the episode.
+        inside: What a command line begins with, so that it runs there.
+    """
+
+    def __init__(self, folder: Path, inside: tuple[str, ...]) -> None:
+        self._terminal, self._inside, self._log = Terminal(folder / "t", inside), inside, folder / "policy.log"
+        self._folder = folder
+        self._up = self._terminal.start("up", "g1-homie-policy", "--yes", "--record", "--task", "walk")
+
+    def events(self, name: str) -> list[Any]:
+        """Return the events of a name that are recorded by now; of the whole run once it has ended."""
+        return [event for event in load_manifest(self._terminal.episode("walk")).events if event.name == name]
+
+    @contextmanager
+    def policy(self, words: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+        """Run a policy until the end of the block."""
+        with self._log.open("ab") as log, subprocess.Popen(
+            [*self._inside, *words], cwd=ROOT, stdout=log, stderr=log, start_new_session=True,
+        ) as process:  # fmt: skip
+            try:
+                yield process
+            finally:
+                os.killpg(process.pid, signal.SIGKILL)
+
+    def await_said(self, what: str, count: int = 1) -> None:
+        """Wait until policies have said a word so often."""
+        wait_until(lambda: self._log.read_text().split().count(what) >= count, 4 * DEADLINE_S)
+
+    def end(self) -> station.Episode:
+        """End the station; return what it recorded."""
+        self._up.terminate()
+        said, _ = self._up.communicate(timeout=2 * DEADLINE_S)
+        assert self._up.returncode in (0, -15, 143), said
+        return station.open_episode(self._terminal.episode("walk"))
+
+    def kill(self) -> None:
+        """Let nothing of it stay."""
+        if self._up.poll() is None:
+            self._up.terminate()
+            self._up.communicate(timeout=2 * DEADLINE_S)
+
+
+@contextmanager
+def run(folder: Path) -> Iterator[Run]:
+    with multicast_loopback() as inside:
+        made = Run(folder, inside)
+        try:
+            yield made
+        finally:
+            made.kill()
+
+
+def walked_m(episode: station.Episode) -> float:
+    """Return how far from its start the robot ended."""
+    rows = episode.numpy("sim_qpos_g1_29").values
+    return float(np.linalg.norm(rows[-1, :2] - rows[0, :2]))
+
+
+@pytest.mark.assets
+def test_a_policy_of_others_walks_our_robot_and_is_killed_frozen_and_started_anew_without_a_fall(
+    tmp_path: Path, processes: None, assets: Path
+) -> None:
+    expect_library()
+    network = assets / "zoo/policies/rlgym_g1_motion.pt"
+    words = [sys.executable, "-m", "tests.servers.homie_policy", str(network), "0.4"]
+    with run(tmp_path) as made:
+        with made.policy(words) as policy:
+            made.await_said("runs")
+            time.sleep(WALKS_S)
+            policy.send_signal(signal.SIGSTOP)
+            time.sleep(3.0)
+            policy.send_signal(signal.SIGCONT)
+            time.sleep(WALKS_S / 2)
+        time.sleep(1.0)  # killed in mid-walk
+        with made.policy(words):
+            made.await_said("runs", 2)
+            time.sleep(WALKS_S / 2)
+        time.sleep(3.0)
+        episode = made.end()
+    events = [record.value for record in episode.events()]
+    named = [event["name"] for event in events if event["detail"].get("channel", "pd_plustau_targets") != "arm_action"]
+    assert "fall" not in named
+    assert [name for name in named if name in ("lcm-live", "lcm-silent", "lcm-back")] == [
+        "lcm-live", "lcm-silent", "lcm-back", "lcm-silent", "lcm-back", "lcm-silent",
+    ]  # fmt: skip
+    gaps = [event["detail"]["silent_s"] for event in events if event["name"] == "lcm-back"]
+    assert gaps[0] == pytest.approx(3.2, abs=0.7)
+    assert walked_m(episode) > 2.0
+    shares = episode.numpy("command_used_g1_29_legs").values[:, -1]
+    assert shares[-1] == 0.0
+    assert np.mean(shares == 1.0) > 0.25
+    rows = episode.numpy("sim_qpos_g1_29").values
+    assert np.linalg.norm(rows[-1, :2] - rows[-25, :2]) < 0.05, "it stands"
+
+
+def test_homies_own_policy_walks_our_robot(tmp_path: Path, processes: None) -> None:
+    if not (words := shlex.split(os.environ.get(HOMIE, ""))):
+        pytest.skip(_NO_HOMIE)
+    with run(tmp_path) as made, made.policy([sys.executable, "-c", PEDALS]), made.policy(words):
+        wait_until(lambda: made.events("lcm-live"), 8 * DEADLINE_S)
+        time.sleep(2 * WALKS_S)
+        episode = made.end()
+    assert "fall" not in [record.value["name"] for record in episode.events()]
+    assert walked_m(episode) > 2.0

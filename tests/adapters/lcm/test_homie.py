@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
-from adapters.lcm.homie import CHANNELS, Legs, command_of, routes
+from adapters.lcm.homie import (
+    CHANNELS,
+    TARGETS_CHANNEL,
+    Legs,
+    command_of,
+    leg_command,
+    low_level_of,
+    low_level_routes,
+    robot_messages,
+    routes,
+)
 from adapters.policies.homie import HomiePolicy
 from station.contract import names_of
+from station.rotations import from_roll_pitch_yaw
 
 SIDES = ("left", "right")
 ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")
@@ -52,3 +65,54 @@ def test_numbers_come_back_as_they_went_and_a_height_that_legs_lack_is_that_of_a
 def test_legs_are_kept_within_what_homies_policy_was_trained_on() -> None:
     legs = command_of("g1_29", "velocity-height", hands=False).parts[0]
     assert np.array_equal(np.stack([legs.lower, legs.upper], axis=1), HomiePolicy.RANGE)
+
+
+# -- What passes between HOMIE's policy and a robot, byte by byte ------------------------------------------------------
+RPY = [0.02, -0.05, 1.2]
+GYRO = [0.1, -0.2, 0.3]
+Q, DQ = [index / 100 for index in range(29)], [-index / 10 for index in range(29)]
+
+
+def told(*, is_pressed: bool = False) -> dict[str, bytes]:
+    return robot_messages(np.array([*Q, *DQ, *from_roll_pitch_yaw(RPY), *GYRO]), is_pressed=is_pressed)
+
+
+def test_a_robot_tells_homies_policy_of_itself_on_three_channels() -> None:
+    assert {channel: len(message) for channel, message in told().items()} == {
+        "state_estimator_data": 144, "body_control_data": 248, "rc_command": 46,
+    }  # fmt: skip
+
+
+def test_joints_are_in_unitrees_order_positions_then_velocities_and_no_time() -> None:
+    assert told()["body_control_data"] == struct.pack(">Q29f29fq", 0xF4F03934711BF8B5, *Q, *DQ, 0)
+
+
+def test_the_state_is_roll_pitch_yaw_gyro_and_accelerometer_and_nothing_else() -> None:
+    message = told()["state_estimator_data"]
+    assert message[:8] == bytes.fromhex("08bc31f1b8da88f4")
+    assert message[8:32] == struct.pack(">6f", *RPY, *GYRO)
+    down = np.array(struct.unpack(">3f", message[32:44]))
+    assert np.linalg.norm(down) == pytest.approx(9.81)
+    assert down[2] > 9.7, "an accelerometer at rest feels what holds it up"
+    assert message[44:] == bytes(100)
+
+
+def test_of_the_remote_only_r2_is_ever_down() -> None:
+    head = bytes.fromhex("8ee4d605d87cfbc5")
+    assert told()["rc_command"] == head + bytes(38)
+    assert told(is_pressed=True)["rc_command"] == head + bytes(36) + b"\0\1"
+
+
+def test_of_the_policys_29_targets_the_first_12_are_the_legs() -> None:
+    message = struct.pack(">Q29d29dq", 0x86DB34943194C221, *Q, *[0.0] * 29, 1_700_000_000_000_000)
+    assert len(message) == 480
+    numbers = TARGETS_CHANNEL.kind.decode(message)[TARGETS_CHANNEL.field]
+    legs, arms = low_level_routes(low_level_of("g1_29"))
+    (vector,) = legs.commands(leg_command(numbers))
+    assert vector.tolist() == [*Q[:12], 1.0]
+    assert [each.key for each in (*legs.formats, *arms.formats)] == [
+        "action_targets_g1_29_legs", "action_joints_g1_29_left_arm", "action_joints_g1_29_right_arm",
+    ]  # fmt: skip
+    joints = [name.removesuffix("_pos") for name in names_of(legs.formats[0].elements)]
+    leg = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+    assert joints == [*(f"{side}_{joint}" for side in SIDES for joint in leg), "share"]
