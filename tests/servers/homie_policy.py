@@ -1,7 +1,8 @@
 """A policy in the place of HOMIE's, by LCM's own library: it hears a robot, waits for R2, calibrates, waits, and runs.
 
 It knows nothing of the station's own messages: their layout stands here once more. The network is unitree_rl_gym's,
-which drives 12 legs as HOMIE's does. Says what it does, a line each: ``calibrates``, ``ready``, ``runs``.
+which drives 12 legs as HOMIE's does; it answers each new state, since it walks badly on one that is two steps old. Says
+what it does, a line each: ``calibrates``, ``ready``, ``runs``.
 
     python -m tests.servers.homie_policy POLICY.pt [VX]
 """
@@ -43,7 +44,7 @@ class Policy:
     def __init__(self, checkpoint: Path, vx: float) -> None:
         self._network, self._command = RlGymG1Policy(checkpoint), np.array([vx, 0.0, 0.0])
         self._rpy, self._gyro, self._q, self._dq = np.zeros(3), np.zeros(3), np.zeros(29), np.zeros(29)
-        self._bodies, self._is_down, self._is_pressed = 0, False, False
+        self._bodies, self._is_new, self._is_down, self._is_pressed = 0, False, False, False
         self._lcm = lcm.LCM(URL)
         for channel, heard in (
             ("state_estimator_data", self._on_state), ("body_control_data", self._on_body),
@@ -59,13 +60,13 @@ class Policy:
         while np.abs(target - CALIBRATED).max() > 0.01:
             target -= np.clip(target - CALIBRATED, -0.05, 0.05)
             self._send(target)
-            self._hear(CALIBRATION_PERIOD_S)
+            self._hear(time.monotonic() + CALIBRATION_PERIOD_S)
         say("ready")
         self._await_press()
         say("runs")
         self._network.reset()
         while True:
-            self._hear(PERIOD_S)
+            self._hear(time.monotonic() + 2.0 * PERIOD_S, until_new=True)
             state = RobotState(0, self._q[:12], self._dq[:12], from_roll_pitch_yaw(self._rpy), self._gyro)
             action = self._network.act(self._network.observe(state, self._command))
             self._send(self._network.targets(action, self._command).q)
@@ -75,9 +76,9 @@ class Policy:
         while not (self._is_pressed and self._bodies):
             self._lcm.handle_timeout(100)
 
-    def _hear(self, seconds: float) -> None:
-        until_s = time.monotonic() + seconds
-        while (left_s := until_s - time.monotonic()) > 0.0:
+    def _hear(self, until_s: float, *, until_new: bool = False) -> None:
+        self._is_new = False
+        while not (until_new and self._is_new) and (left_s := until_s - time.monotonic()) > 0.0:
             self._lcm.handle_timeout(max(1, round(left_s * 1e3)))
 
     def _send(self, legs: np.ndarray) -> None:
@@ -92,7 +93,9 @@ class Policy:
     def _on_body(self, _: str, data: bytes) -> None:
         kind, *numbers = BODY.unpack(data)
         assert kind == BODY_TYPE
-        self._q, self._dq = np.array(numbers[:29]), np.array(numbers[29:58])
+        q = np.array(numbers[:29])
+        self._is_new = self._is_new or not np.array_equal(q, self._q)
+        self._q, self._dq = q, np.array(numbers[29:58])
         self._bodies += 1
 
     def _on_remote(self, _: str, data: bytes) -> None:

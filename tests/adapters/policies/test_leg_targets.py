@@ -89,3 +89,15 @@ def test_a_robot_whose_policy_falls_silent_in_mid_walk_stands_by_itself() -> Non
         ("waiting", "entering"), ("entering", "tracking"), ("tracking", "holding"), ("holding", "returning"),
         ("returning", "waiting"),
     ]  # fmt: skip
+
+
+def test_after_a_stop_a_policy_that_sent_through_it_is_not_followed_before_it_has_paused() -> None:
+    robot = Walked(WALK)
+    robot.run(2.0)
+    robot.control.stop("test")
+    assert robot.run(0.5).sent.kp.max() == 0.0
+    robot.control.reset("test")
+    assert robot.run(1.0).decision.vector[SHARE] == 0.0
+    robot.run(0.5, is_silent=True)
+    assert robot.run(2.0).decision.vector[SHARE] == 1.0
+    assert robot.steps[-1].fall is None
