@@ -63,6 +63,8 @@ def start(
     running = _running() if has_bulk else None
     if running is not None:
         _expect_no_servers(running)
+        if running.username is not None and acl_file is None:
+            raise UsageError(f"bus {running} has users: give the bulk bus the same list, --acl FILE")
         options = replace(options, password=None if acl_file is not None else running.password)
     wanted = [*([] if running is not None else [options]), *([bulk_options(options)] if has_bulk else [])]
     with contextlib.ExitStack() as stack:

@@ -29,6 +29,7 @@ _READ_S = 0.02
 _RETRY_S = 0.05
 _MOST_BYTES = 64 << 20  # that wait to be taken; more waits at the server
 _CLOSE_S = 3.0  # a server that is frozen holds up a new tap for as long
+_LATE = "bulk bus: what was written over it had not come when a request to the recorder did"
 _SETTLE_S = 0.25  # what a request waits for the bulk bus, which is milliseconds behind where it lives
 
 
@@ -83,8 +84,8 @@ class BothTaps:
     """A tap (`station.bus.tap.Tap`) of a bus and of its bulk bus.
 
     Writes of one bus stay in its order. Between the two the order is that of arrival; where a request to the recorder
-    is among them, or where they waited at the servers, that of writing, so an episode has all that was written before
-    its end.
+    is among them, or where they waited at the servers for this tap, that of writing, so an episode has all that was
+    written before its end.
 
     Args:
         tap: Of the bus; closed with this one.
@@ -107,6 +108,7 @@ class BothTaps:
         self._held: list[Write] = []  # of the bus, until the bulk bus is as far
         self._place = tap.position()
         self._last_ns = 0
+        self.is_catching_up = True
         self._look()
 
     def cuts(self) -> list[Cut]:
@@ -164,7 +166,8 @@ class BothTaps:
     def _look(self) -> None:
         """Set what a tap says of itself, of both."""
         self.is_lossless = self._tap.is_lossless and self._bulk.is_lossless
-        self.is_catching_up = self._tap.is_catching_up or self._bulk.is_late
+        # What the bulk bus alone was late with comes when it comes: the bus does not wait for it.
+        self.is_catching_up = self.is_catching_up and (self._tap.is_catching_up or self._bulk.is_late)
         self.unseen_keys = self._tap.unseen_keys + self._bulk.unseen_keys
 
     def _as_written(self, writes: Sequence[Write], bulk: Sequence[Write]) -> list[Write]:
@@ -253,20 +256,27 @@ class _BulkReader:
             return self._is_at(instant_ns)
 
     def wait_until_now(self, timeout_s: float) -> None:
-        """Wait until all is here that was written by now, or is lost."""
+        """Wait until all is here that was written by now, or is lost; what does not come in time is a hole."""
         position = self._read_to
         if self._reason or position is None:
             return
+        end = self._end(position.offset)
+        with self._changed:
+            is_there = end is not None and self._clock.wait_for(
+                self._changed, lambda: self._is_behind(end) or self._is_full, timeout_s
+            )
+            if not is_there and not self._reason:
+                self._cuts.append(Cut("hole", self._known_ns, self._clock.monotonic_ns(), _LATE))
+
+    def _end(self, offset: int) -> int | None:
+        """Return the offset at which the server's stream ends now; None where it does not answer."""
         try:
             lag = ServerLag(self._address)
-        except BusError:  # it is being lost
-            return
-        behind = lag.behind(position.offset)
+        except BusError:
+            return None
+        behind = lag.behind(offset)
         lag.close()
-        if behind is not None:
-            end = position.offset + behind
-            with self._changed:
-                self._clock.wait_for(self._changed, lambda: self._is_behind(end) or self._is_full, timeout_s)
+        return None if behind is None else offset + behind
 
     def close(self) -> None:
         """Hang up; a second call does nothing."""
@@ -307,10 +317,12 @@ class _BulkReader:
         was_late, writes = tap.is_catching_up, tap.read(_READ_S)
         now_ns = self._clock.monotonic_ns()
         with self._changed:
-            self._read_to = tap.position()
+            before, self._read_to = self._read_to, tap.position()
             self._is_tap_late, self.unseen_keys = tap.is_catching_up, tap.unseen_keys
-            known_ns = newest_written_ns(writes) if self._is_tap_late else now_ns
-            self._known_ns = max(self._known_ns, min(known_ns, now_ns))
+            if self._is_tap_late:
+                self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))
+            elif self._read_to is None or self._read_to != before:  # it pings; one that is frozen proves nothing
+                self._known_ns = now_ns
             if writes:
                 size = sum(len(write.value or b"") for write in writes)
                 is_late, at_ns = self._is_tap_late or was_late, newest_written_ns(writes) or self._known_ns

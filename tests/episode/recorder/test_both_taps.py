@@ -246,7 +246,7 @@ def test_a_cut_of_the_bulk_bus_alone_loses_nothing(make: Make, head: Bus, server
         count += 10
         tap_reader.step()
     thread.join()
-    step_until(tap_reader, lambda: tap_reader.recording._bulk_lost is None and not tap_reader.tap.is_catching_up)
+    step_until(tap_reader, lambda: tap_reader.recording._bulk_lost is None)
     reader = open_episode(ask(tap_reader, head, "stop"))
     assert {key: numbers(reader, key) for key in (STATE, DEPTH, CLOUD)} == {
         key: list(range(count)) for key in (STATE, DEPTH, CLOUD)
@@ -268,3 +268,47 @@ def test_the_death_of_the_bus_alone_leaves_no_hole_in_depth(make: Make, head: Bu
     reader = open_episode(ask(tap_reader, head, "stop"))
     assert numbers(reader, DEPTH) == list(range(60))
     assert [hole.reason.split(":")[0] for hole in reader.manifest.holes] == ["the tap could not go on where it was"]
+
+
+def test_a_bulk_bus_that_is_frozen_at_the_end_is_told_and_not_waited_for(
+    make: Make, head: Bus, servers: tuple[KeptServer, KeptServer]
+) -> None:
+    tap_reader = make()
+    ask(tap_reader, head, "start")
+    write(head, range(20))
+    step_until(tap_reader, lambda: tap_reader.recording.state().messages >= 60)
+    os.kill(servers[1].pid, signal.SIGSTOP)
+    try:
+        frozen_ns = time.monotonic_ns()
+        head.publish({STATE: b"20"})
+        reader = open_episode(ask(tap_reader, head, "stop"))
+    finally:
+        os.kill(servers[1].pid, signal.SIGCONT)
+    assert numbers(reader, STATE) == list(range(21))
+    (hole,) = reader.manifest.holes
+    assert hole.reason.startswith("bulk bus: what was written over it had not come")
+    anchor = reader.manifest.timing.anchor
+    assert anchor is not None
+    assert hole.from_s <= (frozen_ns - anchor.mono_ns) * 1e-9
+
+
+def test_what_the_bulk_bus_was_late_with_does_not_move_the_times_of_the_robot(
+    make: Make, head: Bus, servers: tuple[KeptServer, KeptServer]
+) -> None:
+    tap_reader = make()
+    ask(tap_reader, head, "start")
+    write(head, range(20))
+    step_until(tap_reader, lambda: tap_reader.recording.state().messages >= 60)
+    with Bus(servers[1].address, name="test", timeout_s=5.0) as line:
+        line.call("CLIENT", "KILL", "TYPE", "replica")
+    for number in range(20, 120):
+        write(head, range(number, number + 1))
+        tap_reader.step()
+        tap_reader.recording.poll()
+    step_until(tap_reader, lambda: tap_reader.recording._bulk_lost is None)
+    reader = open_episode(ask(tap_reader, head, "stop"))
+    assert numbers(reader, DEPTH) == list(range(120))
+    written = {message.data: message.publish_ns for message in reader.messages([STATE])}
+    for message, after in zip([*reader.messages([STATE])], [*reader.messages([STATE])][1:], strict=False):
+        assert written[message.data] <= message.log_ns <= after.log_ns
+    assert reader.manifest.holes == []
