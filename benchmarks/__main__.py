@@ -15,8 +15,8 @@ from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
 MODULES = (
-    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "legged", "devices", "camera", "retarget",
-    "walking", "reading", "export", "startup", "whole", "kord", "dds",
+    "bus", "wake", "bulk", "loop", "estop", "recorder", "effect", "sim", "inference", "legged", "devices", "camera",
+    "retarget", "walking", "reading", "export", "startup", "whole", "kord", "dds",
 )  # fmt: skip
 
 

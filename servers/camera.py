@@ -125,6 +125,8 @@ def main(config: CameraConfig, life: Life) -> int:
     """Publish pictures until asked to stop; return the exit code."""
     kind, options = config.kind, config.typed_options()
     os.nice(config.niceness)
+    if config.depth:
+        life.bus.open_bulk()  # so that one that is not there is told now
     watched = kind.keys(options)
     if not watched:
         return _serve(config, life, kind, options, lambda _key: None)

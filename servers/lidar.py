@@ -110,6 +110,7 @@ def main(config: LidarConfig, life: Life) -> int:
     """Publish clouds until asked to stop; return the exit code."""
     kind, options = config.kind, config.typed_options()
     os.nice(config.niceness)
+    life.bus.open_bulk()  # so that one that is not there is told now
     mount = None if config.mount is None else config.mount.as_mount()
     return serve_lidar(
         life,

@@ -146,6 +146,7 @@ class _Recorder:
             "role": KIND.role,
             "backend": self._tap_reader.tap.backend,
             "is_lossless": self._tap_reader.tap.is_lossless,
+            "bulk": str(self._life.bus.bulk_address or ""),
             "data": str(self.recording.options.data),
             "software": msgspec.to_builtins(software()),
             "config": to_plain(self._config),

@@ -21,11 +21,13 @@ class UserConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     Attributes:
         data: Folder of episodes; None: ``./data``.
         bus: Address of the bus; "" for this user's own.
+        bulk: Address of its bulk bus, for depth and clouds; "" for the one beside it, if there is one.
         operator: Who operates, for episodes; "" for the login name.
     """
 
     data: Path | None = None
     bus: str = ""
+    bulk: str = ""
     operator: str = ""
 
 

@@ -190,6 +190,7 @@ def _away_from_user(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setenv("STATION_DATA", str(folder / "data"))
     for suffix in ("", "_USER", "_PASSWORD", "_PASSWORD_FILE", "_CA", "_CERT", "_KEY"):
         patch.delenv(f"STATION_BUS{suffix}", raising=False)
+    patch.delenv("STATION_BULK", raising=False)
 
 
 @pytest.fixture(autouse=True)

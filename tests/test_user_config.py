@@ -50,7 +50,7 @@ def test_a_change_is_seen_and_a_mistake_told_with_its_file(file: Path) -> None:
     assert data_folder() == Path("data")
     file.write_text("dta: /two\n")
     with pytest.raises(
-        ConfigError, match=r"config\.yaml: unknown key 'dta' \(did you mean 'data'\?\); known: bus, data"
+        ConfigError, match=r"config\.yaml: unknown key 'dta' \(did you mean 'data'\?\); known: bulk, bus, data"
     ):
         data_folder()
 

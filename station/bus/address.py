@@ -18,6 +18,9 @@ from station.errors import ConfigError
 from station.user_config import user_config
 
 ENVIRONMENT_VARIABLE = "STATION_BUS"
+BULK_VARIABLE = "STATION_BULK"
+NO_BULK = "none"
+"""What the variable says where depth and clouds go over the bus itself, whatever else there is."""
 USER_VARIABLE = "STATION_BUS_USER"
 PASSWORD_VARIABLE = "STATION_BUS_PASSWORD"
 PASSWORD_FILE_VARIABLE = "STATION_BUS_PASSWORD_FILE"
@@ -223,3 +226,31 @@ def default() -> BusAddress:
     """Return the bus to use when none is named: ``$STATION_BUS``, else the user's default, else this user's own."""
     url = os.environ.get(ENVIRONMENT_VARIABLE) or user_config().bus
     return parse(url) if url else own()
+
+
+def bulk_beside(socket: str | Path) -> Path:
+    """Return where the socket of the bulk bus is that belongs to a bus with a socket."""
+    return Path(socket).with_name("bulk.sock")
+
+
+def bulk_of(bus: BusAddress) -> BusAddress | None:
+    """Return the bulk bus of a bus; None where depth and clouds go over that itself.
+
+    Of the default bus it is ``$STATION_BULK``, else ``bulk`` of the user's file; else, of any bus, the socket that a
+    server of ours has beside that of the bus. User and password are those of the bus.
+
+    Raises:
+        ConfigError: what names it is no address.
+    """
+    url = os.environ.get(BULK_VARIABLE) or user_config().bulk
+    if url and str(bus) == str(default()):
+        found = None if url == NO_BULK else parse(url)
+    elif bus.socket is not None and (socket := bulk_beside(bus.socket)).exists():
+        found = msgspec.structs.replace(bus, socket=str(socket))
+    else:
+        return None
+    if found is None or str(found) == str(bus):
+        return None
+    if bus.password is None:
+        return found
+    return msgspec.structs.replace(found, username=bus.username, password=bus.password)

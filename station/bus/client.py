@@ -17,9 +17,9 @@ from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.clocks import Clocks
 from station.bus.connection import Argument, Connection, ConnectionLost
-from station.bus.outage import Outages
+from station.bus.outage import Kind, Outages
 from station.bus.sample import Sample
-from station.bus.watch import Watch
+from station.bus.watch import Watch, WatchOfBoth
 from station.clock import Clock
 from station.errors import BusError
 
@@ -89,8 +89,13 @@ class Bus:
         address: Where the bus is; None takes `station.bus.address.default`.
         name: Name that stands in every stamp this object writes.
         timeout_s: Longest wait for any answer [s].
+        bulk_of: The bus that this one is the bulk bus of; outages are told there, and clocks are taken from there.
+
+    Depth and clouds (`keys.is_bulk`) go to the bulk bus, where the station has one, and are read there: whoever
+    publishes, reads or watches a key need not know where it is.
 
     Attributes:
+        bulk_address: Where the bulk bus is; None where there is none.
         clock: Time where the bus is.
         connections: How often this object was connected; one more means that the server may have forgotten us.
         outages: What this process suffered from the bus, its watches included.
@@ -100,15 +105,22 @@ class Bus:
         BusError: the server cannot be reached or refuses us.
     """
 
-    def __init__(self, address: BusAddress | None = None, *, name: str, timeout_s: float = 0.05) -> None:
+    def __init__(
+        self, address: BusAddress | None = None, *, name: str, timeout_s: float = 0.05, bulk_of: Bus | None = None
+    ) -> None:
         self.address = address or addresses.default()
         self.clock = self.address.clock
         self.source = stamp.new_source(name)
-        self.lost_writes = 0
         self.last_error = ""
         self.connections = 1
-        self.outages = Outages(self.clock)
-        self.clocks = Clocks(self.address)
+        self.outages: Outages = Outages(self.clock) if bulk_of is None else bulk_of.outages
+        self.clocks: Clocks = Clocks(self.address) if bulk_of is None else bulk_of.clocks
+        self.bulk_address = addresses.bulk_of(self.address) if bulk_of is None else None
+        self._is_bulk = bulk_of is not None
+        self._bulk: Bus | None = None
+        self._bulk_lock = self.clock.lock()
+        self._name = name
+        self._lost_writes = 0
         self._is_far = not self.address.is_local
         self._timeout_s = self._patience_s(timeout_s)
         self._lock = self.clock.lock()
@@ -127,6 +139,11 @@ class Bus:
         return self._connection is not None
 
     @property
+    def lost_writes(self) -> int:
+        """Keys that were published and did not reach the server, as far as is known; of the bulk bus too."""
+        return self._lost_writes + (self._bulk.lost_writes if self._bulk is not None else 0)
+
+    @property
     def is_late(self) -> bool:
         """Whether the server owes the answer to a write."""
         return bool(self._unanswered)
@@ -137,9 +154,43 @@ class Bus:
             self._timeout_s = self._patience_s(timeout_s)
             if self._connection is not None:
                 self._connection.set_timeout(self._timeout_s)
+        if self._bulk is not None:
+            self._bulk.set_timeout(timeout_s)
+
+    def open_bulk(self) -> Bus:
+        """Return the line to the bulk bus, which is opened once; this one where the station has none.
+
+        Raises:
+            BusError: the bulk bus cannot be reached, or refuses us.
+        """
+        if self.bulk_address is None:
+            return self
+        with self._bulk_lock:
+            if self._bulk is None:
+                try:
+                    self._bulk = Bus(self.bulk_address, name=self._name, timeout_s=self._timeout_s, bulk_of=self)
+                except BusError as error:
+                    why = str(error).partition("; does a station run")[0].removeprefix("bus ")
+                    raise BusError(
+                        f"bulk bus {why}; depth and clouds go there: start it again (`station bus start --bulk`), or "
+                        f"set ${addresses.BULK_VARIABLE}={addresses.NO_BULK}"
+                    ) from None
+            return self._bulk
+
+    def lines(self, values: Mapping[str, bytes]) -> list[tuple[Bus, Mapping[str, bytes]]]:
+        """Return values with the lines that they go by.
+
+        Raises:
+            BusError: some go by the bulk bus, and that was never reached.
+        """
+        if self.bulk_address is None or not any(map(keys.is_bulk, values)):
+            return [(self, values)]
+        near = {key: value for key, value in values.items() if not keys.is_bulk(key)}
+        there = {key: value for key, value in values.items() if keys.is_bulk(key)}
+        return [*([(self, near)] if near else []), (self.open_bulk(), there)]
 
     def publish(self, values: Mapping[str, bytes], *, capture_ns: int | None = None) -> bool:
-        """Write keys and their stamps as one atomic command.
+        """Write keys and their stamps as one atomic command; as two where some go over the bulk bus.
 
         Args:
             values: Bytes by key.
@@ -151,11 +202,14 @@ class Bus:
             back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait;
             to a bus on another machine none does, and whether it took a write is known with a later one.
         """
-        with self._lock:
-            return self._post(self._writes.encode(values, capture_ns), [len(values)])
+        is_taken = True
+        for line, part in self.lines(values):
+            with line._lock:
+                is_taken &= line._post(line._writes.encode(part, capture_ns), [len(part)])
+        return is_taken
 
     def publish_in_turn(self, writes: Sequence[tuple[Mapping[str, bytes], int | None]]) -> bool:
-        """Write several times in one go, for a device whose samples come in batches; each as `publish` writes.
+        """Write several times in one go, for a device whose samples come in batches, all over this bus.
 
         Args:
             writes: Bytes by key, and the device's own time of capture [ns], of each.
@@ -184,7 +238,8 @@ class Bus:
 
     def get(self, key: str) -> bytes | None:
         """Return the value of a key, or None; says nothing of its age."""
-        value: bytes | None = self.call("GET", key)
+        line = self.open_bulk() if keys.is_bulk(key) else self
+        value: bytes | None = line.call("GET", key)
         return value
 
     def read(self, wanted: Sequence[str]) -> dict[str, Sample]:
@@ -194,6 +249,8 @@ class Bus:
         """
         if not wanted:
             return {}
+        if self.bulk_address is not None and (there := [key for key in wanted if keys.is_bulk(key)]):
+            return self.read([key for key in wanted if not keys.is_bulk(key)]) | self.open_bulk().read(there)
         values = self.call("MGET", *wanted, *(keys.stamp(key) for key in wanted))
         pairs = zip(wanted, values[: len(wanted)], values[len(wanted) :], strict=True)
         return {
@@ -203,8 +260,11 @@ class Bus:
         }
 
     def names(self, pattern: str = "*") -> list[str]:
-        """Return the keys that match a pattern, sorted, stamps left out."""
+        """Return the keys that match a pattern, sorted, stamps left out; of a bulk bus that is lost, none."""
         found: set[str] = set()
+        if self.bulk_address is not None and not keys.is_bookkeeping(pattern):
+            with contextlib.suppress(BusError):
+                found.update(self.open_bulk().names(pattern))
         cursor = b"0"
         while True:
             cursor, page = self.call("SCAN", cursor, "MATCH", pattern, "COUNT", 1000)
@@ -214,7 +274,9 @@ class Bus:
 
     def watch(self, wanted: Sequence[str]) -> Watch:
         """Return a watch that keeps the newest value of each key at hand; close it after use."""
-        return Watch(self.address, wanted, outages=self.outages, clocks=self.clocks)
+        if self.bulk_address is None or not any(map(keys.is_bulk, wanted)):
+            return Watch(self.address, wanted, outages=self.outages, clocks=self.clocks)
+        return WatchOfBoth(self.address, wanted, bulk=self.bulk_address, outages=self.outages, clocks=self.clocks)
 
     def call(self, *arguments: Argument) -> Any:
         """Send any request and return its answer.
@@ -238,7 +300,10 @@ class Bus:
     def close(self) -> None:
         """Close the connection and stop reconnecting; what was written last is on its way for a while at most."""
         self._closed.set()
-        self.clocks.close()
+        if self._bulk is not None:
+            self._bulk.close()
+        if not self._is_bulk:
+            self.clocks.close()
         with self._lock:
             if self._connection is not None:
                 if self._is_far:
@@ -261,7 +326,7 @@ class Bus:
     def _post(self, requests: bytes, counts: Sequence[int]) -> bool:
         """Send encoded writes of so many keys each; called with the lock held."""
         if self._connection is None:
-            self.lost_writes += sum(counts)
+            self._lost_writes += sum(counts)
             return False
         self._unanswered.extend(counts)
         if not self._connection.owed:
@@ -284,7 +349,7 @@ class Bus:
         for answer in answers:
             count = self._unanswered.popleft()
             if isinstance(answer, hiredis.ReplyError):
-                self.lost_writes += count
+                self._lost_writes += count
                 self._refuse(count, answer)
             elif self._refused:
                 self._end_refusals()
@@ -292,7 +357,7 @@ class Bus:
         if answers or not connection.owed:
             # One that was looked for in vain: while this process was paused, it did not look.
             if now_s - self._heard_s > _SILENT_S and self._looks_in_vain:
-                self.outages.record("bus-silent", _ns(self._heard_s))
+                self._record("bus-silent", _ns(self._heard_s))
             self._heard_s, self._looks_in_vain = now_s, 0
         elif now_s - self._heard_s > _STALL_S:
             connection.close()
@@ -310,18 +375,16 @@ class Bus:
 
     def _end_refusals(self) -> None:
         log.info("bus %s: takes writes again; %d were refused", self.address, self._refused)
-        self.outages.record(
-            "bus-refused", _ns(self._refused_s), refused=self._refused, reason=self._bare(self.last_error)
-        )
+        self._record("bus-refused", _ns(self._refused_s), refused=self._refused, reason=self._bare(self.last_error))
         self._refused, self.last_error = 0, ""
 
     def _lose(self, error: BusError) -> None:
         """Record a lost connection, and reconnect in the background; called with the lock held."""
         began_s = self._heard_s if self._unanswered else self.clock.monotonic_s()
         lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
-        before = self.lost_writes
+        before = self._lost_writes
         self._connection = None
-        self.lost_writes += lost
+        self._lost_writes += lost
         self._unanswered.clear()
         self._complain(str(error))
         if not self._closed.is_set():
@@ -343,10 +406,14 @@ class Bus:
                     return
                 self._connection, self.last_error, self._heard_s = fresh, "", self.clock.monotonic_s()
                 self.connections += 1
-                lost = self.lost_writes - lost_before
-                self.outages.record("bus-back", began_ns, lost_writes=lost, reason=reason)
+                lost = self._lost_writes - lost_before
+                self._record("bus-back", began_ns, lost_writes=lost, reason=reason)
                 log.info("bus %s: back; %d writes were lost", self.address, lost)
             return
+
+    def _record(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
+        """Record an outage that ends now; one of a bulk bus says so."""
+        self.outages.record(kind, began_ns, **numbers, **({"bus": "bulk"} if self._is_bulk else {}))
 
     def _bare(self, reason: str) -> str:
         """Return a reason without the address, which is the same for all readers."""

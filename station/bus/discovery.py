@@ -11,6 +11,7 @@ from station.bus import address as addresses
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
 from station.bus.keeper import KeptServer, OnRestart
+from station.bus.redis_server import remove_dead
 from station.bus.server_options import ServerOptions
 
 log = logging.getLogger(__name__)
@@ -40,6 +41,7 @@ def found_or_started(
     else:
         yield address
         return
+    remove_dead(addresses.bulk_beside(addresses.runtime_folder() / "bus.sock"))
     with KeptServer.start(own_options(tcp_port), on_restart) as server:
         yield server.address
 

@@ -187,6 +187,14 @@ def lidar_imu(lidar: str) -> str:
     return f"lidar_imu_{lidar}"
 
 
+_BULK = (camera_depth(""), lidar_cloud(""))
+
+
+def is_bulk(key: str) -> bool:
+    """Whether a key, or its stamp, goes over the bulk bus where the station has one: depth and clouds."""
+    return key.startswith(_BULK)
+
+
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who may press need not be able to release

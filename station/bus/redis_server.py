@@ -61,14 +61,15 @@ class RedisServer:
         address = address_of(options)
         with _one_start_at_a_time(options.folder):
             if options.socket is not None:
-                _clear_socket(options.socket)
+                _see_that_free(options.socket)
                 _leave_password(options)
             name = options.socket.stem if options.socket is not None else f"bus-{options.tcp_port}"
             log_path = options.folder / f"{name}.log"
             process = _spawn(find_binary(), options, log_path)
             try:
                 _wait_until_it_answers(process, address, options, log_path)
-                _be_punctual(process.pid)
+                if options.is_urgent:
+                    _be_punctual(process.pid)
                 return cls(process, address, log_path)
             except BaseException:
                 process.kill()
@@ -212,8 +213,8 @@ def _one_start_at_a_time(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _clear_socket(path: Path) -> None:
-    """Remove the socket that a dead server left.
+def _see_that_free(path: Path) -> None:
+    """See that a server may take a socket; it takes the place of one that a dead server left, which others see stay.
 
     Raises:
         BusError: a living server answers there, or it is no socket.
@@ -223,15 +224,26 @@ def _clear_socket(path: Path) -> None:
             raise BusError(f"{path}: in the way of the bus socket and no socket itself; remove it or choose another")
     except FileNotFoundError:
         return
-    with socket.socket(socket.AF_UNIX) as probe:
-        probe.settimeout(1.0)
-        status = probe.connect_ex(str(path))
+    status = _try(path)
     if status == errno.ECONNREFUSED:
-        path.unlink()
         return
     if status not in (0, errno.EAGAIN):  # EAGAIN: its queue of connections is full, so it is alive and frozen
         raise BusError(f"socket {path}: {os.strerror(status)}")
     raise BusError(f"socket {path}: a bus server is already running there; use it (--bus unix://{path}) or stop it")
+
+
+def remove_dead(path: Path) -> None:
+    """Remove the socket of a server that is gone for good, so that nobody takes it for one that is on its way."""
+    with contextlib.suppress(OSError):
+        if stat.S_ISSOCK(path.lstat().st_mode) and _try(path) == errno.ECONNREFUSED:
+            path.unlink()
+            password_file.beside(path).unlink(missing_ok=True)
+
+
+def _try(path: Path) -> int:
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex(str(path))
 
 
 def _wait_until_it_answers(

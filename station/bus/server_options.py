@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from station.bus.address import BusAddress
+from station.bus.address import BusAddress, bulk_beside
 from station.errors import BusError, ConfigError
 
 _SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
+
+_LAST_PORT = 65535
 
 LARGEST_VALUE = 64 << 20
 """Bytes of the largest value that a server of ours takes: a raw picture of 20 million points."""
@@ -48,6 +50,7 @@ class ServerOptions:
         folder: Existing folder for its log and for snapshots on their way to a replica.
         backlog_mb: How much of the write stream a tap that was cut off can still catch up with [MiB]; three JPEG
             cameras fill 256 MiB in about 45 s. Memory is used only as the stream grows.
+        is_urgent: Whether it is to run before all else that may wait, where this user may ask for that.
     """
 
     socket: Path | None
@@ -60,6 +63,7 @@ class ServerOptions:
     login: tuple[str, str] | None = field(default=None, repr=False)
     max_value_mb: int = LARGEST_VALUE >> 20
     backlog_mb: int = 256
+    is_urgent: bool = True
 
     def __post_init__(self) -> None:
         """Refuse what would open the bus to everybody.
@@ -82,6 +86,22 @@ class ServerOptions:
     def own_login(self) -> tuple[str | None, str | None]:
         """User and password that our own processes give."""
         return self.login or (None, self.password)
+
+
+def bulk_options(options: ServerOptions) -> ServerOptions:
+    """Return how the bulk bus of a bus with a socket is started: for the same users, and on the next port for others.
+
+    It must not take a processor from the bus that a robot obeys, and 30 MB/s fill its backlog in 17 s.
+
+    Raises:
+        ConfigError: the bus has no socket, or no port is next.
+    """
+    if options.socket is None:
+        raise ConfigError("a bulk bus stands beside a bus with a socket")
+    port = None if options.bind is None or options.tcp_port is None else options.tcp_port + 1
+    if port is not None and port > _LAST_PORT:
+        raise ConfigError(f"the bulk bus takes the port behind that of the bus, and none is behind {options.tcp_port}")
+    return replace(options, socket=bulk_beside(options.socket), tcp_port=port, backlog_mb=512, is_urgent=False)
 
 
 def address_of(options: ServerOptions) -> BusAddress:

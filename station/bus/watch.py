@@ -48,6 +48,14 @@ _SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
 _ASKED = b"now"  # tells the answer of `_drain` from that of a probe
 
 
+class _Changes(threading.Condition):
+    """Wakes who waits for a value, and counts how often any key got another."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+
 class Watch:
     """Slots with the newest value of some keys, filled by a thread of its own that reconnects by itself.
 
@@ -60,6 +68,7 @@ class Watch:
         outages: Account of the process, in which a cut is noted; None for none.
         clocks: Of the process, by which a write of another machine has an age; None where nobody asks for that.
         probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
+        changes: Those of another watch, which then wakes of what happens here too; None for its own.
 
     Attributes:
         clock: Of the arrivals; time where the bus is.
@@ -75,6 +84,7 @@ class Watch:
         outages: Outages | None = None,
         clocks: Clocks | None = None,
         probe_s: float = _IDLE_S,
+        changes: _Changes | None = None,
     ) -> None:
         self._address, self.clock = address, address.clock
         self._outages, self._clocks = outages, clocks
@@ -91,8 +101,7 @@ class Watch:
         self._prefix = f"__keyspace@{address.db}__:"
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
-        self._changed = threading.Condition()
-        self._changes = 0
+        self._changed = changes or _Changes()
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
@@ -141,8 +150,8 @@ class Watch:
             The count now.
         """
         with self._changed:
-            self.clock.wait_for(self._changed, lambda: self._changes != after or self._closed.is_set(), timeout_s)
-            return self._changes
+            self.clock.wait_for(self._changed, lambda: self._changed.count != after or self._closed.is_set(), timeout_s)
+            return self._changed.count
 
     def close(self) -> None:
         """Stop watching."""
@@ -321,7 +330,7 @@ class Watch:
         elif is_foreign or value != known.value:
             # The stamp stands still while the value is written: a stock script overwrites a native key.
             self._slots[key] = Sample(key, value, None, now_ns)
-        self._changes += self._slots.get(key) is not known
+        self._changed.count += self._slots.get(key) is not known
         self._newest_mark[key] = mark
 
     def _clock_of(self, mark: stamp.Stamp | None) -> Offset | None:
@@ -342,6 +351,37 @@ class Watch:
             raise BusError(f"bus {self._address}: {values}")
         marks = (stamp.decode(mark) if mark else None for mark in values[1::2])
         return dict(zip(wanted, zip(values[::2], marks, strict=True), strict=True))
+
+
+class WatchOfBoth(Watch):
+    """A watch of keys of a bus, and of some that are on its bulk bus; what it says of itself it says of the bus.
+
+    Args:
+        address, wanted, outages, clocks: As of `Watch`.
+        bulk: Where the bulk bus is.
+    """
+
+    def __init__(
+        self, address: BusAddress, wanted: Sequence[str], *, bulk: BusAddress, outages: Outages, clocks: Clocks
+    ) -> None:
+        super().__init__(address, [key for key in wanted if not keys.is_bulk(key)], outages=outages, clocks=clocks)
+        there = [key for key in wanted if keys.is_bulk(key)]
+        self._bulk = Watch(bulk, there, outages=outages, clocks=clocks, changes=self._changed)
+
+    def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
+        """As `Watch.latest`."""
+        found = self._bulk.latest if keys.is_bulk(key) else super().latest
+        return found(key, max_age_s=max_age_s)
+
+    def wait(self, key: str, *, after: Sample | None, timeout_s: float) -> Sample | None:
+        """As `Watch.wait`."""
+        found = self._bulk.wait if keys.is_bulk(key) else super().wait
+        return found(key, after=after, timeout_s=timeout_s)
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._bulk.close()
+        super().close()
 
 
 def _read_request(wanted: Sequence[str]) -> bytes:

@@ -1,7 +1,8 @@
 """The loop that cameras and lidars share: read the newest of a source, publish, tell.
 
 Nothing is queued: as long as the bus owes the answer to a picture no other is written, and the newest one goes when it
-has answered. What is dropped, and where, is counted and stands in the server's health; that it begins and ends are the
+has answered; depth over a bulk bus likewise, apart from its picture. What is dropped, and where, is counted and stands
+in the server's health; that it begins and ends are the
 events ``camera-dropping`` and ``camera-steady``. A camera that gives nothing, or is torn out, is ``camera-lost``; it is
 looked for once a second, and ``camera-back`` when it gives pictures again. Events of a lidar begin with ``lidar``.
 """
@@ -98,7 +99,9 @@ class Feed(Generic[AnySource]):
         described: Callable[[dict[str, Any]], dict[str, Any]], values: Callable[[Any], Mapping[str, bytes]],
         beside: Callable[[AnySource], None] = _nothing,
     ) -> None:  # fmt: skip
-        self._life, self._open, self._kind, self._key, self._head = life, open_source, kind, key, head
+        self._life, self._open, self._kind, self._key = life, open_source, kind, key
+        bulk = life.bus.bulk_address
+        self._head = {**head, **({"bulk": str(bulk)} if bulk is not None else {})}
         self._described, self._values, self._beside = described, values, beside
         self._clock = life.clock
         self._source: AnySource | None = None
@@ -187,16 +190,19 @@ class Feed(Generic[AnySource]):
             self._silence_s = max(_SILENT_S, _PERIODS / facts["fps"])
 
     def _publish(self, reading: Reading) -> None:
-        bus = self._life.bus
-        is_behind = bus.is_late and not bus.catch_up()
-        values = self._values(reading)
-        if is_behind or not bus.publish(values, capture_ns=reading.capture_ns):
-            self._unsent += 1
+        sent = 0
+        lines = self._life.bus.lines(self._values(reading))
+        for bus, values in lines:
+            is_behind = bus.is_late and not bus.catch_up()
+            if not is_behind and bus.publish(values, capture_ns=reading.capture_ns):
+                sent += 1
+                self._bytes += sum(map(len, values.values()))
+        self._unsent += sent < len(lines)
+        if not sent:
             return
         self._published += 1
         if self._source is not None and self._facts.get(self._kind.told_late) is None:
             self._adopt(self._source)  # a stream shows its size with its first picture
-        self._bytes += sum(map(len, values.values()))
         self._capture_ns = reading.capture_ns
 
     def _welcome(self, now_s: float) -> None:

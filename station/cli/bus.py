@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +18,8 @@ from station.errors import UsageError
 from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
+    from station.bus.address import BusAddress
+    from station.bus.client import Bus
     from station.bus.keeper import KeptServer
     from station.bus.server_options import Certificate, ServerOptions
     from station.supervision.runbook import Runbook
@@ -40,21 +45,74 @@ def command() -> None:
 @click.option("--key", "key_file", metavar="FILE", type=_FILE, default=None, help="Key of the certificate.")
 @click.option("--ca", "ca_file", metavar="FILE", type=_FILE, default=None,
               help="Let in only who shows a certificate that this authority signed.")  # fmt: skip
+@click.option("--bulk", "has_bulk", is_flag=True,
+              help="Start a bulk bus too, for depth and clouds; or that alone, beside your bus that runs.")  # fmt: skip
 def start(
     tcp_port: int | None, bind: str | None, acl_file: Path | None, certificate: Path | None, key_file: Path | None,
-    ca_file: Path | None,
+    ca_file: Path | None, has_bulk: bool,
 ) -> None:  # fmt: skip
     """Run a bus in this terminal until it is interrupted."""
+    from station.bus import address as addresses
     from station.bus.keeper import KeptServer
+    from station.bus.redis_server import remove_dead
+    from station.bus.server_options import bulk_options
 
     stop = threading.Event()
     set_on_signals(stop)
     options = _options(tcp_port, bind, acl_file, _certificate(certificate, key_file, ca_file))
-    with KeptServer.start(options, on_restart=lambda text: click.echo(text, err=True)) as server:
-        _introduce(server, options)
+    running = _running() if has_bulk else None
+    if running is not None:
+        _expect_no_servers(running)
+        if running.username is not None and acl_file is None:
+            raise UsageError(f"bus {running} has users: give the bulk bus the same list, --acl FILE")
+        options = replace(options, password=None if acl_file is not None else running.password)
+    wanted = [*([] if running is not None else [options]), *([bulk_options(options)] if has_bulk else [])]
+    with contextlib.ExitStack() as stack:
+        if running is None:
+            remove_dead(addresses.bulk_beside(addresses.runtime_folder() / "bus.sock"))
+        servers = [stack.enter_context(KeptServer.start(each, on_restart=_tell(each))) for each in wanted]
+        if running is None:
+            _introduce(servers[0], options)
+        if has_bulk:
+            _introduce_bulk(servers[-1], wanted[-1])
+        click.echo("Ctrl-C stops it" if len(servers) == 1 else "Ctrl-C stops both")
         while not stop.wait(0.5):
-            if server.error is not None:
-                raise server.error
+            for server in servers:
+                if server.error is not None:
+                    raise server.error
+
+
+def _tell(options: ServerOptions) -> Callable[[str], None]:
+    which = "" if options.is_urgent else "bulk "
+    return lambda text: click.echo(which + text, err=True)
+
+
+def _running() -> BusAddress | None:
+    """Return this user's own bus where it runs already."""
+    from station.bus import address as addresses
+    from station.bus.connection import Connection, ConnectionLost
+
+    own = addresses.own()
+    try:
+        Connection(own, timeout_s=1.0).close()
+    except ConnectionLost:
+        return None
+    return own
+
+
+def _expect_no_servers(address: BusAddress) -> None:
+    """Refuse to add a bulk bus under servers that run: a recorder would not hear what is written to it."""
+    from station.bus.client import Bus
+    from station.errors import Refused
+    from station.life.server import read_health
+
+    with Bus(address, name="cli", timeout_s=1.0) as line:
+        alive = [health.name for health in read_health(line) if health.is_alive]
+    if alive:
+        raise Refused(
+            f"bus {address}: {', '.join(alive)} would go on without a bulk bus, and a recorder would not hear it; end "
+            "them first (`station down`), or start both at once"
+        )
 
 
 def _certificate(file: Path | None, key_file: Path | None, ca_file: Path | None) -> Certificate | None:
@@ -119,7 +177,15 @@ def _introduce(server: KeptServer, options: ServerOptions) -> None:
     elif options.tcp_port is not None:
         whom = "users of the ACL" if options.acl_file is not None else "every user of this machine"
         click.echo(f"stock scripts: redis://localhost:{options.tcp_port}/0, open to {whom}, to no other machine")
-    click.echo("Ctrl-C stops it")
+
+
+def _introduce_bulk(server: KeptServer, options: ServerOptions) -> None:
+    from station.bus.address import BULK_VARIABLE
+
+    click.echo(f"bulk bus {server.address} (pid {server.pid}): depth and clouds of what is started from now on")
+    if options.bind is not None:
+        scheme = "redis" if options.certificate is None else "rediss"
+        click.echo(f"  other machines: ${BULK_VARIABLE}={scheme}://{options.bind}:{options.tcp_port}/0, same password")
 
 
 @command.command("acl")
@@ -185,18 +251,25 @@ def info(bus: str | None, as_json: bool) -> None:
     from station.bus.protection import inspect
 
     with Bus(address_of(bus), name="cli", timeout_s=1.0) as line:
-        text = line.call("INFO").decode()
-        fields = dict(row.split(":", 1) for row in text.splitlines() if ":" in row)
+        found = _facts(line)
         protection = inspect(line)
+        found["protection"] = f"{protection.verdict}: {protection.found}"
+        if line.bulk_address is not None:
+            found |= {f"bulk_{name}": value for name, value in _facts(line.open_bulk()).items()}
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    for name, value in found.items():
+        click.echo(f"{name:30} {value}")
+
+
+def _facts(line: Bus) -> dict[str, str]:
+    """Return what a server says of itself."""
+    text = line.call("INFO").decode()
+    fields = dict(row.split(":", 1) for row in text.splitlines() if ":" in row)
     wanted = (
         "valkey_version", "redis_version", "process_id", "uptime_in_seconds", "connected_clients", "connected_slaves",
         "used_memory_human", "maxmemory_policy", "repl_backlog_size", "total_commands_processed",
         "instantaneous_ops_per_sec",
     )  # fmt: skip
-    found = {"address": str(line.address)} | {name: fields[name] for name in wanted if name in fields}
-    found["protection"] = f"{protection.verdict}: {protection.found}"
-    if as_json:
-        click.echo(json.dumps(found))
-        return
-    for name, value in found.items():
-        click.echo(f"{name:26} {value}")
+    return {"address": str(line.address)} | {name: fields[name] for name in wanted if name in fields}

@@ -24,6 +24,7 @@ _KINDS = {
     "bus-silent": ("silent once", "silent {} times"),
     "bus-lost": ("lost once", "lost {} times"),
     "bus-refused": ("refused writes once", "refused writes {} times"),
+    "bulk-cut": ("the bulk bus cut once,", "the bulk bus cut {} times"),
     "watch-cut": ("unheard by a server once", "unheard by servers {} times"),
     "tap-cut": ("recording link cut once and resumed,", "recording link cut {} times and resumed"),
     "hole": ("1 hole in the recording,", "{} holes in the recording"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,8 +25,9 @@ from station.bus.watch import Watch
 from station.episode.storage.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
 from station.life import stop_file
-from station.life.server import Health, read_health
+from station.life.server import Health, read_configurations, read_health
 from station.life.stop_file import LatchedStop, StopFile
+from station.printable import printable
 from station.software import software
 from station.supervision import hosts
 from station.supervision.supervisor import log_folder
@@ -41,6 +43,7 @@ _GATE_REMEDIES = {
     "stopped": "station estop --reset",
 }
 
+_INFO_MEMORY = re.compile(r"used_memory_human:(\S+)")
 _PACKAGES = (packages.DISTRIBUTION, "mujoco", "onnxruntime", "numpy", "hiredis", "mcap", "rerun-sdk")
 
 
@@ -86,6 +89,7 @@ class _Gate(msgspec.Struct):
 def examine(bus: Bus) -> Iterator[Finding]:
     """Inspect a station through its bus; yields findings from the bus outwards."""
     yield from _server_settings(bus)
+    yield from _bulk(bus)
     servers = read_health(bus)
     yield from _servers(servers, log_folder(bus.address))
     yield _estop(stop_file.latched(bus))
@@ -124,6 +128,25 @@ def _server_settings(bus: Bus) -> Iterator[Finding]:
     if settings["maxmemory-policy"] != "noeviction":
         yield Finding("warning", "bus memory", f"policy {settings['maxmemory-policy']} may drop a command key",
                       "CONFIG SET maxmemory-policy noeviction")  # fmt: skip
+
+
+def _bulk(bus: Bus) -> Iterator[Finding]:
+    """Yield how the bulk bus is, where there is one, and servers that take another one for it."""
+    if bus.bulk_address is not None:
+        try:
+            used = _INFO_MEMORY.search(bus.open_bulk().call("INFO", "memory").decode())
+        except BusError as error:
+            yield Finding("broken", "bulk bus", str(error), "station bus start --bulk")
+        else:
+            yield Finding("ok", "bulk bus", f"{bus.bulk_address}, holds {used[1] if used else '?'}")
+    ours = "" if bus.bulk_address is None else str(bus.bulk_address)
+    alive = {health.name for health in read_health(bus) if health.is_alive}
+    for facts in read_configurations(bus):
+        stated = facts.get("bulk")
+        if isinstance(stated, str) and stated != ours and facts.get("server") in alive:
+            named = f"{printable(stated) or 'none'}, not {ours or 'none'}"
+            yield Finding("broken", "bulk bus", f"{facts['server']} has {named}: what it writes there is not recorded",
+                          f"name one in ${addresses.BULK_VARIABLE} for all of them, and start them again")  # fmt: skip
 
 
 def _setting(bus: Bus, name: str) -> str:
@@ -424,7 +447,8 @@ def machine() -> Iterator[Finding]:
 def _defaults() -> Iterator[Finding]:
     """Yield what this user's file sets; of an address without its password."""
     found = user_config.user_config()
-    chosen = {"data": found.data, "bus": found.bus and addresses.parse(found.bus), "operator": found.operator}
+    named = {name: url and addresses.parse(url) for name, url in (("bus", found.bus), ("bulk", found.bulk))}
+    chosen = {"data": found.data, **named, "operator": found.operator}
     if listed := ", ".join(f"{name} {value}" for name, value in chosen.items() if value):
         yield Finding("ok", "defaults", f"{listed} ({user_config.path()})")
 

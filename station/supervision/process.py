@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from station import python_child
-from station.bus.address import ENVIRONMENT_VARIABLE, BusAddress
+from station.bus.address import BULK_VARIABLE, ENVIRONMENT_VARIABLE, NO_BULK, BusAddress, bulk_of
 from station.clock import Clock
 from station.life import supervisor_pipe
 from station.life.restarts import RESTARTS_VARIABLE
@@ -100,11 +100,13 @@ class LocalProcess:
         self.log, self._clock = log, clock
         reading, self._pipe = os.pipe()
         os.set_inheritable(reading, True)
+        bulk = bulk_of(bus)
         variables = {
             **os.environ,
             **environment,
             # In the environment, not among the arguments: a password must not show in the process list.
             ENVIRONMENT_VARIABLE: bus.url,
+            BULK_VARIABLE: NO_BULK if bulk is None else bulk.url,
             supervisor_pipe.ENVIRONMENT_VARIABLE: str(reading),
             RESTARTS_VARIABLE: str(restarts),
             "PYTHONUNBUFFERED": "1",

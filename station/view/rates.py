@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections import deque
@@ -9,7 +10,7 @@ from collections import deque
 import msgspec
 
 from station.bus import keys
-from station.bus.address import BusAddress
+from station.bus.address import BusAddress, bulk_of
 from station.bus.connection import Connection
 from station.bus.notifications import enable_notifications
 from station.errors import BusError
@@ -34,7 +35,7 @@ class KeyRate(msgspec.Struct, frozen=True):
 
 
 class RateMeter:
-    """Counts the writes of every key from a thread of its own.
+    """Counts the writes of every key, of a bulk bus too, from a thread of its own.
 
     Raises:
         BusError: the bus cannot be reached, or refuses notifications.
@@ -55,16 +56,23 @@ class RateMeter:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._thread = self._clock.start(self._run, "key-rates")
+        self._bulk: RateMeter | None = None
+        if (bulk := bulk_of(address)) is not None:
+            with contextlib.suppress(BusError):  # of a bulk bus that is gone nothing is counted
+                self._bulk = RateMeter(bulk)
 
     def rates(self) -> dict[str, KeyRate]:
         """Return the rate of every key seen so far."""
         now_s = self._clock.monotonic_s()
         span_s = min(_WINDOW_S, max(now_s - self._began_s, 1e-3))
+        found = self._bulk.rates() if self._bulk is not None else {}
         with self._lock:
-            return {key: self._rate(key, times, now_s, span_s) for key, times in self._writes.items()}
+            return found | {key: self._rate(key, times, now_s, span_s) for key, times in self._writes.items()}
 
     def close(self) -> None:
         """Stop counting."""
+        if self._bulk is not None:
+            self._bulk.close()
         self._closed.set()
         self._clock.join(self._thread, 2.0)
         self._link.close()

@@ -61,11 +61,13 @@ class Position(msgspec.Struct, frozen=True):
         offset: Bytes of that history that were consumed.
         db: Database that the stream had selected there; None takes it for the tapped one. The server does not repeat
             its SELECT after a resumption, so the offset alone does not say whose writes follow.
+        bulk: The place in the stream of the bulk bus that goes with it; None where there is none.
     """
 
     replication_id: str
     offset: int
     db: int | None = None
+    bulk: Position | None = None
 
 
 class Tap(Protocol):

@@ -142,7 +142,8 @@ class Interruption(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         kind: ``bus-silent``: the bus owed answers, and gave them afterwards. ``bus-lost``: servers had no connection.
-            ``bus-refused``: writes were answered with an error. ``watch-cut``: a server did not hear what was written.
+            ``bus-refused``: writes were answered with an error. ``bulk-cut``: one of these, of the bulk bus.
+            ``watch-cut``: a server did not hear what was written.
             ``tap-cut``: the recorder was cut off, and went on where it was. ``hole``: it could not, and writes are
             missing or may be. ``recorder-restart``: it was killed, and another took the episode up.
         at_s: When it began, from the start of the episode [s].
@@ -152,7 +153,9 @@ class Interruption(msgspec.Struct, frozen=True, kw_only=True):
         reason: Why, as they said.
     """
 
-    kind: Literal["bus-silent", "bus-lost", "bus-refused", "watch-cut", "tap-cut", "hole", "recorder-restart"]
+    kind: Literal[
+        "bus-silent", "bus-lost", "bus-refused", "bulk-cut", "watch-cut", "tap-cut", "hole", "recorder-restart"
+    ]
     at_s: float
     seconds: float | None = None
     lost: int | None = None

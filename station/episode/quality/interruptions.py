@@ -21,7 +21,7 @@ _TOGETHER_S = 0.5  # servers that write twice a second notice as much later than
 _LONGEST_TEXT = 300
 _LONGEST_S = 1e9  # also keeps out what is not finite
 
-_Kind = Literal["bus-silent", "bus-lost", "bus-refused", "watch-cut", "tap-cut"]
+_Kind = Literal["bus-silent", "bus-lost", "bus-refused", "bulk-cut", "watch-cut", "tap-cut"]
 _EVENTS: dict[str, _Kind] = {
     "bus-silent": "bus-silent",
     "bus-back": "bus-lost",
@@ -60,6 +60,8 @@ def _from_event(at_s: float, event: Mapping[str, Any]) -> Interruption:
     seconds = _number(detail.get("seconds"), 0.0)
     kind = _EVENTS[str(event["name"])]
     lost = detail.get("refused" if kind == "bus-refused" else "lost_writes", 0 if kind == "tap-cut" else None)
+    if detail.get("bus") == "bulk" and kind != "tap-cut":
+        kind = "bulk-cut"
     return Interruption(
         kind=kind,
         at_s=round(at_s - _number(detail.get("began_ago_s"), seconds), 3),

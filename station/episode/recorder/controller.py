@@ -28,6 +28,7 @@ from station.software import software
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
+    from station.episode.recorder.both_taps import Cut
 
 
 _REMEMBERED = 64
@@ -117,6 +118,8 @@ class RecorderController:
         self._awaited = ""  # id of a start request that is to come once more, with what came before and behind it
         self._ignored_until = ""  # id of a start request, see `ignore_until`
         self._reserved: tuple[str, Path] | None = None  # likewise, with the folder
+        self._bulk_lost: Cut | None = None  # while the bulk bus is not heard
+        self._bulk_hole: Cut | None = None  # the newest that is over
         self._active: ActiveEpisode | None = None
         self._closing: list[ActiveEpisode] = []
         self._last_folder: Path | None = None
@@ -254,6 +257,8 @@ class RecorderController:
         )  # fmt: skip
         self._active = ActiveEpisode(writer, manifest, start_id=request.id)
         self._active.begin(preroll)
+        if self._bulk_hole is not None and self._bulk_hole.to_ns > self._preroll_from(self._active):
+            self._tell_bulk_hole(self._active, self._bulk_hole, self._bulk_hole.to_ns)
         self.room.begin()
         self._last_error = ""
 
@@ -304,7 +309,16 @@ class RecorderController:
     def _end(self, take: ActiveEpisode, ended_by: str, mono_ns: int) -> None:
         self._active = None
         self._closing.append(take)
+        if self._bulk_lost is not None:
+            self._tell_bulk_hole(take, self._bulk_lost, mono_ns)
         take.finish(ended_by, max(mono_ns, take.anchor.mono_ns))
+
+    def _tell_bulk_hole(self, take: ActiveEpisode, cut: Cut, to_ns: int) -> None:
+        take.hole(max(cut.from_ns, self._preroll_from(take)), to_ns, cut.reason)
+
+    def _preroll_from(self, take: ActiveEpisode) -> int:
+        """Return when the oldest write of an episode may have been written [ns, monotonic]."""
+        return take.anchor.mono_ns - int(self.options.preroll_s * 1e9)
 
     def _end_in_time(self, take: ActiveEpisode) -> None:
         """End an episode while the disk has room for its last words."""

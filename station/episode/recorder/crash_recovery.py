@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from station.bus import keys
 from station.bus.stamp import boot_id
-from station.bus.tap import Position, Tap, Write, open_tap
+from station.bus.tap import Position, Tap, Write
+from station.episode.recorder.both_taps import cuts_of, open_taps
 from station.episode.recorder.catching_up import CatchingUp
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
@@ -92,6 +93,11 @@ class CrashRecovery:
         return self._point.anchor.mono_ns if self._point else 0
 
     @property
+    def saved_ns(self) -> int:
+        """When that position was saved [ns, monotonic]; now, where there is none."""
+        return self._point.mono_ns if self._point else self._began_ns
+
+    @property
     def _point(self) -> ResumePoint | None:
         found = self._unborn or self._found
         return found.point if found else self._done
@@ -109,7 +115,11 @@ class CrashRecovery:
         later = {found.point.start_id for found in (*self._ended, self._found, self._unborn) if found is not None}
         for found in self._ended:
             try:
-                tap = open_tap(self._life.bus.address, resume=found.point.position, backend=backend)
+                bus, point = self._life.bus, found.point
+                tap = open_taps(
+                    bus.address, bus.bulk_address, resume=point.position, backend=backend, since_ns=point.mono_ns,
+                    offset_of=self._options.writer.offset_of,
+                )  # fmt: skip
             except BusError as error:
                 self._life.event("episode-not-closed", severity="warning", reason=str(error))
                 continue
@@ -236,6 +246,8 @@ class CrashRecovery:
                 if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
                     continue
                 writes = as_written(tap.read(_READ_S), written_ns, self._options.writer.offset_of)
+                for cut in cuts_of(tap):
+                    recording.bulk_cut(cut)
                 if writes:
                     written_ns = writes[-1].mono_ns
                     recording.feed_to_the_end(writes, tap.position(), later)

@@ -19,6 +19,7 @@ from station.errors import Refused
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
+    from station.episode.recorder.both_taps import Cut
 
 _THEN = ", then "
 _MOST_CHANGES = 10  # of the tap, that are told one by one
@@ -29,9 +30,10 @@ class Recording(RecorderController):
     """A recorder's state. One thread feeds it and polls it; no call waits for the disk but for making a folder."""
 
     def __init__(
-        self, options: RecordingOptions, *, backend: str, is_lossless: bool, bus: str = "", clock: Clock = SYSTEM
-    ) -> None:
-        super().__init__(options, Recorder(backend=backend, is_lossless=is_lossless, bus=bus), clock)
+        self, options: RecordingOptions, *, backend: str, is_lossless: bool, bus: str = "", bulk: str = "",
+        clock: Clock = SYSTEM,
+    ) -> None:  # fmt: skip
+        super().__init__(options, Recorder(backend=backend, is_lossless=is_lossless, bus=bus, bulk=bulk), clock)
         self._known: dict[str, Callable[[Write], None] | None] = {}
 
     def seed(self, key: str, value: bytes, stamp: bytes | None) -> None:
@@ -140,6 +142,14 @@ class Recording(RecorderController):
         self._awaited = self._ignored_until = ""  # a start that was to come once more is among them
         if self._active is not None:
             self._active.hole(from_ns, to_ns, reason)
+
+    def bulk_cut(self, cut: Cut) -> None:
+        """Record what befell the bulk bus; what it had not given when an episode ends is missing there."""
+        self._bulk_lost = cut if cut.kind == "lost" else None
+        if cut.kind == "hole":
+            self._bulk_hole = cut
+            if self._active is not None:
+                self._tell_bulk_hole(self._active, cut, cut.to_ns)
 
     @property
     def is_recording(self) -> bool:

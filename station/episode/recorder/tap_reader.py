@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from station.bus import codec, keys
 from station.bus import stamp as stamps
-from station.bus.tap import Tap, Write, open_tap, why_not_resumed
+from station.bus.tap import Tap, Write, why_not_resumed
+from station.episode.recorder.both_taps import BothTaps, cuts_of, open_taps
 from station.episode.recorder.catching_up import CatchingUp
 from station.episode.recorder.crash_recovery import CrashRecovery
 from station.episode.recorder.latched import latched, not_among
@@ -51,9 +52,15 @@ class TapReader:
         self._life, self._backend, self._resume_s = life, backend, resume_s
         self._clock = clock = life.clock
         recovery = CrashRecovery(options, life, take_up_s)
-        self.tap: Tap = open_tap(life.bus.address, resume=recovery.position, backend=backend)
-        bus, tap = str(life.bus.address), self.tap
-        self.recording = Recording(options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus, clock=clock)
+        self._offset_of = options.writer.offset_of
+        self.tap: Tap = open_taps(
+            life.bus.address, life.bus.bulk_address, resume=recovery.position, backend=backend,
+            since_ns=recovery.saved_ns, offset_of=self._offset_of,
+        )  # fmt: skip
+        bus, bulk, tap = str(life.bus.address), str(life.bus.bulk_address or ""), self.tap
+        self.recording = Recording(
+            options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus, bulk=bulk, clock=clock
+        )
         self._seed()
         recovery.finish_ended(self.recording, backend)
         self.recording.placed(tap.position())
@@ -62,6 +69,7 @@ class TapReader:
         self._written_ns = recovery.enter(self.recording, tap)  # the newest write, on our monotonic clock
         if tap.resumed:
             self._known_ns = self._written_ns or recovery.start_ns
+        self._tell_cuts()
         self._preroll_s = options.preroll_s
         if not tap.resumed:
             self._read_earlier_states()
@@ -92,6 +100,8 @@ class TapReader:
             reason = f"the tap was lost while the recorder stopped: {_bare(error, self._life.bus)}"
             self.recording.hole(self._known_ns, self._clock.monotonic_ns(), reason)
             return
+        if isinstance(self.tap, BothTaps) and (writes := self.tap.settle()):
+            self._feed(writes)
         if not is_whole:
             self.recording.hole(self._known_ns, self._clock.monotonic_ns(), _NOT_READ)
 
@@ -111,9 +121,18 @@ class TapReader:
     def _read(self) -> list[Write]:
         """Return what the tap brings, and note up to when we know of every write: what it brings may be old."""
         writes = self.tap.read(_READ_S)
+        self._tell_cuts()
         self._heard_ns = now_ns = self._clock.monotonic_ns()
-        self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))
+        told = [write for write in writes if not keys.is_bulk(write.key)]  # a bulk bus proves nothing of the bus
+        self._known_ns = max(self._known_ns, min(newest_written_ns(told), now_ns))
         return writes
+
+    def _tell_cuts(self) -> None:
+        """Tell of the bulk bus what befell it; the recording goes on without it."""
+        for cut in cuts_of(self.tap):
+            self.recording.bulk_cut(cut)
+            numbers = {} if cut.kind == "lost" else {"seconds": round((cut.to_ns - cut.from_ns) * 1e-9, 3)}
+            self._life.event(f"tap-{cut.kind}", severity="warning", bus="bulk", reason=cut.reason, **numbers)
 
     def _read_up_to_now(self, take: Callable[[list[Write]], None]) -> bool:
         """Hand over what the tap brings until a write of our own has come back; False when that takes too long.
@@ -202,7 +221,11 @@ class TapReader:
                 # One that is coming up refuses for a moment; only one that goes on to do so costs the lossless tap.
                 is_early = self.tap.is_lossless and self._clock.monotonic_s() <= deadline_s
                 backend = self._backend or (self.tap.backend if is_early else None)
-                self.tap = open_tap(self._life.bus.address, resume=position, backend=backend)
+                self.tap = open_taps(
+                    self._life.bus.address, self._life.bus.bulk_address, resume=position, backend=backend,
+                    since_ns=self._known_ns, is_bulk_apart=True, offset_of=self._offset_of,
+                )  # fmt: skip
+                self._tell_cuts()
                 return True
             except BusError:  # still gone; the loss was said by our caller, who says its end
                 if self._clock.monotonic_s() > deadline_s:

@@ -212,6 +212,7 @@ class Recorder(msgspec.Struct, kw_only=True):
         backend: Tap that was used: ``replication``, ``notifications`` or ``poll``.
         is_lossless: Whether that tap can promise every write.
         bus: Address of the bus, without credentials.
+        bulk: That of its bulk bus, which depth and clouds came from; "" where they came from the bus.
         restarts: How often a recorder took this episode up again.
         messages, bytes: Messages in the file, and its size on disk.
         dropped: Writes that arrived and could not be kept (full queue, failed disk, too many keys).
@@ -230,6 +231,7 @@ class Recorder(msgspec.Struct, kw_only=True):
     backend: str = ""
     is_lossless: bool = False
     bus: str = ""
+    bulk: str = ""
     restarts: int = 0
     messages: int = 0
     bytes: int = 0

@@ -27,6 +27,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
 from station.episode.recorder import remote
 from station.episode.recorder import tap_reader as intake_module
+from station.episode.recorder.both_taps import open_taps
 from station.episode.recorder.latched import latched, not_among
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
@@ -228,11 +229,11 @@ def test_a_request_that_comes_as_soon_as_the_tap_is_open_is_done_once(
     make: Make, g1: Bus, monkeypatch: pytest.MonkeyPatch, stands: bool
 ) -> None:
     def open_and_ask(*where: Any, **how: Any) -> Tap:
-        tap = open_tap(*where, **how)
+        tap = open_taps(*where, **how)
         g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start", "task": "walk"})})
         return tap
 
-    monkeypatch.setattr(intake_module, "open_tap", open_and_ask)
+    monkeypatch.setattr(intake_module, "open_taps", open_and_ask)
     if stands:
         g1.publish({STATE: b""})
     tap_reader = make()
