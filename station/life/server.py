@@ -26,7 +26,7 @@ from station.life.events import Event, Severity
 log = logging.getLogger(__name__)
 
 State = Literal["unconfigured", "inactive", "active", "finalized"]
-Role = Literal["command", "low-level", "recorder", "sensor", "observer"]
+Role = Literal["command", "low-level", "recorder", "sensor", "observer", "console"]
 
 HEARTBEAT_S = 0.5
 DEAD_AFTER_S = 2.0  # four heartbeats

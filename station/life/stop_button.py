@@ -88,7 +88,7 @@ class StopButton:
             request = {"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {})
             self._write(keys.ESTOP, request, removed=keys.ESTOP_PRESSED)
         except BusError as error:
-            who = f"; expected the bus's operator, not {self._user!r}" if "NOPERM" in str(error) else ""
+            who = f"; expected the bus's operator or console, not {self._user!r}" if "NOPERM" in str(error) else ""
             raise BusError(f"the stop is still latched ({error}){who}") from None
         self._keeper.release(f"{self._who}, {reason}", asked_ns)
 
