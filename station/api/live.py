@@ -27,7 +27,7 @@ from station.life.events import Event
 from station.life.policy_request import Policies
 from station.life.runbook_request import RunbookStatus
 from station.life.server import Health, read_configurations, read_health
-from station.life.stop_button import StopButton, keep_for_the_next_start
+from station.life.stop_button import StopButton, keep_for_the_next_start, say_past_bus
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -345,16 +345,21 @@ class Station:
     def estop(self, reason: str = "asked for by a script") -> list[str]:
         """Stop every robot on the bus, latched; return the names of the servers that have.
 
-        Where the bus is gone, no robot is stopped; the stop is kept all the same, and nothing starts under it.
+        Where the bus is gone or frozen, those of this machine are stopped that a `station up` of this user drives; the
+        stop is kept, and nothing starts under it.
 
         Raises:
+            station.errors.StoppedPastBus: the bus did not take it, but such a station; its `told` names the servers.
             BusError: the stop was not taken; use the robot's own.
             NotReady: a robot does not obey; use its own stop.
         """
+        call = say_past_bus(self._bus.address, reason)  # first: a bus that is frozen may hold up all the rest
         try:
             opened = self._button()
         except BusError as error:
-            raise keep_for_the_next_start(self._bus.address, reason, error) from None
+            raise keep_for_the_next_start(self._bus.address, reason, error, call) from None
+        finally:
+            call.close()
         with opened as button:
             button.press(reason)
             robots = button.robots()

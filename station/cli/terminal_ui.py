@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import logging
 import sys
 import threading
@@ -17,7 +18,7 @@ from rich.markup import escape
 from station.arms import remedy_of
 from station.bus.client import Bus
 from station.cli.keyboard import Keyboard
-from station.errors import BusError
+from station.errors import BusError, StoppedPastBus
 from station.life.events import Severity
 from station.life.server import Health
 from station.life.stop_button import StopButton
@@ -36,6 +37,7 @@ _ANSWERS = {"y": True, "yes": True, "n": False, "no": False, "": False}
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
 
 KEYS = (" ", "e", "E")
+_KEY = "key in `station up`"
 HINT = "SPACE or e: emergency stop"
 
 _REPEATS_S = 1.0  # a key that is held down repeats thirty times a second
@@ -66,7 +68,7 @@ class TerminalUI:
         self._log = _Log(self)
         self._handlers: list[logging.Handler] = []
         self._stop_key: StopKey | None = None
-        self.estop_directly: Callable[[], None] = lambda: None
+        self.estop_directly: Callable[[str], object] = lambda _: None
         self.look_for_dead: Callable[[], Mapping[str, str]] = dict
         self._keyboard = Keyboard(self._act_at_once, self._take, self._watch_stop, self._echo)
         self._offered, self._is_taken = "", False
@@ -237,7 +239,7 @@ class TerminalUI:
         return takes
 
     def _stop_directly(self) -> None:
-        self.estop_directly()
+        self.estop_directly(f"{getpass.getuser()}, {_KEY}")
 
     def _watch_stop(self) -> None:
         if self._stop_key is not None:
@@ -288,9 +290,10 @@ class StopKey:
         """Stop every robot; pressed again it does so again."""
         self._directly()
         try:
-            self._button.press("key in `station up`")
+            self._button.press(_KEY)
         except BusError as error:
-            self._say(f"EMERGENCY STOP: {error}; this station's own servers were told directly; trying on", "error")
+            own = "" if isinstance(error, StoppedPastBus) else "; this station's own servers were told directly"
+            self._say(f"EMERGENCY STOP: {error}{own}; trying on", "error")
             self._pressed_s = self._pressed_s or time.monotonic()
             return
         self._pressed_s = None
@@ -303,7 +306,7 @@ class StopKey:
         if self._pressed_s is None:
             return
         try:
-            self._button.press("key in `station up`, late")
+            self._button.press(f"{_KEY}, late")
         except BusError:
             return
         late_s, self._pressed_s = time.monotonic() - self._pressed_s, None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
@@ -17,6 +17,7 @@ from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
 from station.errors import UsageError
+from station.life.stop_line import StopLine
 from station.stop_signals import ENDING, set_on_signals
 from station.supervision import claims
 from station.supervision import runbook as runbooks
@@ -96,10 +97,17 @@ def run(
         TerminalUI(stop, is_brief=is_brief, waits_for_console=waits_for_console) as face,
         found_or_started(named, on_restart=lambda text: face.report(text, "warning")) as address,
     ):
-        with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
+        with (
+            Bus(address, name="supervisor", timeout_s=1.0) as line,
+            face.watching(line, names),
+            ExitStack() as stopping,
+        ):
             variables = {"STATION_DATA": str(data.absolute()), LENT_TERMINAL: face.lent_terminal}
             supervisor = Supervisor(line, log_folder(address), variables)
             face.estop_directly, face.look_for_dead = supervisor.estop, lambda: _died(supervisor)
+            stop_line = stopping.enter_context(StopLine(address, supervisor.estop))
+            if stop_line.failure:
+                face.report(stop_line.failure, "warning")
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:
                 code = session.run(stop, for_s=for_s)

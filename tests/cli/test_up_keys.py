@@ -324,7 +324,8 @@ def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: H
         try:
             terminal.type(b" ")
             (log,) = Path(home.environment["XDG_RUNTIME_DIR"]).rglob("g1.log")
-            wait_until(lambda: "estop reason=key in `station up`" in log.read_text())
+            said = f"estop reason={getpass.getuser()}, key in `station up`"
+            wait_until(lambda: said in log.read_text())
         finally:
             os.kill(pid, signal.SIGCONT)
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:

@@ -85,6 +85,7 @@ from station.life import (
     runbook_request,
     stop_button,
     stop_file,
+    stop_line,
     twin_request,
 )
 from station.life.request import parse
@@ -635,6 +636,9 @@ def _stops_and_requests() -> list[Parser]:
         Parser("runbook answer", partial(parse, kind=runbook_request.AnswerRequest, what="one"),
                (b'{"question": "a", "answer": "yes", "who": "ada", "where": "console", "id": "1", "late_s": 1}',),
                (_LIFE + "request", "station.supervision.runbook_publisher"), (Refused,)),
+        Parser("line of a stop", stop_line.parse, (b"stop ada, it smokes",), (_LIFE + "stop_line",)),
+        Parser("answer to a stop", stop_line.decode_reply,
+               (b'{"told": ["g1"], "not_told": ["kassow"], "why_not": "a"}\n',), (_LIFE + "stop_line",)),
         Parser("twin request", partial(parse, kind=twin_request.TwinRequest, what="one"),
                (b'{"faults": {"gantry": "slack"}, "is_well": true, "id": "1", "server": "a", "late_s": 1}',),
                (_LIFE + "request", "servers.robot_twin"), (Refused,)),
