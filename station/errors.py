@@ -7,6 +7,7 @@
     │   └── BadFile         a file that is missing, torn, malicious or of the wrong shape
     ├── AssetMissing        upstream data is not on this machine
     ├── BusError            the Redis bus: unreachable, refused, lost, busy
+    │   └── StoppedPastBus  it did not take an emergency stop, but robots of this machine were told past it
     ├── NotReady            a server did not come up, or died
     ├── Refused             a request that the receiving server turned down
     └── EpisodeError        an episode that cannot be read, written or found
@@ -63,6 +64,18 @@ class AssetMissing(StationError):
 
 class BusError(StationError):
     """The bus cannot be reached, refused us, was lost, or its address is busy."""
+
+
+class StoppedPastBus(BusError):
+    """The bus did not take an emergency stop; servers of this machine that drive a robot were told past it.
+
+    Attributes:
+        told: Their names.
+    """
+
+    def __init__(self, message: str, told: Iterable[str]) -> None:
+        self.told = tuple(told)
+        super().__init__(message)
 
 
 class NotReady(StationError):

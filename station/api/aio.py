@@ -114,6 +114,8 @@ class AsyncStation(_Asynchronous[Station]):
     release_motors = _awaited(Station.release_motors)
     policies = _awaited(Station.policies)
     switch_policy = _awaited(Station.switch_policy)
+    runbook = _awaited(Station.runbook)
+    answer = _awaited(Station.answer)
 
     async def follow(self, key: str, *, silent_s: float | None = None) -> AsyncIterator[Value]:
         """Begin to follow a key; return what yields each newest value, as `Station.follow`."""

@@ -21,12 +21,13 @@ from station.bus.watch import Watch
 from station.contract import Contract
 from station.description import RobotDescription
 from station.errors import BusError, NotReady, UsageError
-from station.life import arm_request, controller_request, policy_request
+from station.life import arm_request, controller_request, policy_request, runbook_request
 from station.life.event_feed import EventFeed
 from station.life.events import Event
 from station.life.policy_request import Policies
+from station.life.runbook_request import RunbookStatus
 from station.life.server import Health, read_configurations, read_health
-from station.life.stop_button import StopButton, keep_for_the_next_start
+from station.life.stop_button import StopButton, keep_for_the_next_start, say_past_bus
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -344,16 +345,21 @@ class Station:
     def estop(self, reason: str = "asked for by a script") -> list[str]:
         """Stop every robot on the bus, latched; return the names of the servers that have.
 
-        Where the bus is gone, no robot is stopped; the stop is kept all the same, and nothing starts under it.
+        Where the bus is gone or frozen, those of this machine are stopped that a `station up` of this user drives; the
+        stop is kept, and nothing starts under it.
 
         Raises:
+            station.errors.StoppedPastBus: the bus did not take it, but such a station; its `told` names the servers.
             BusError: the stop was not taken; use the robot's own.
             NotReady: a robot does not obey; use its own stop.
         """
+        call = say_past_bus(self._bus.address, reason)  # first: a bus that is frozen may hold up all the rest
         try:
             opened = self._button()
         except BusError as error:
-            raise keep_for_the_next_start(self._bus.address, reason, error) from None
+            raise keep_for_the_next_start(self._bus.address, reason, error, call) from None
+        finally:
+            call.close()
         with opened as button:
             button.press(reason)
             robots = button.robots()
@@ -428,6 +434,29 @@ class Station:
             Refused: the policy does not take over, with the reason; or the robot has to be named.
         """
         return policy_request.ask(self._bus, policy, name=robot)
+
+    def runbook(self) -> RunbookStatus | None:
+        """Return what the runbook of `station up` is doing, with the question that it asks now; None where none runs.
+
+        One whose station was killed is none after 2 s.
+        """
+        return runbook_request.status(self._bus)
+
+    def answer(self, question_id: str, answer: str, *, who: str = "", where: str = "script") -> None:
+        """Answer the question that a runbook asks, before anybody does at its terminal, and wait until that counts.
+
+        Args:
+            question_id: As `runbook` told; a question that is asked again has another.
+            answer: One of its answers.
+            who: Who answers, for the recording; "" for this user's login name.
+            where: From where, likewise.
+
+        Raises:
+            NotReady: no runbook is run here, or nothing came of the answer.
+            Refused: it does not count, with the reason: another was first, the question is over, it has no such answer,
+                or this user of the bus may not answer.
+        """
+        runbook_request.answer(self._bus, question_id, answer, who=who, where=where)
 
     def _given_by(
         self, source: Watch | EventFeed, newer: Callable[[], Sequence[_Given]], silent_s: float | None

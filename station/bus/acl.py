@@ -1,10 +1,10 @@
 """Who may do what on a shared bus: one user per role, as the access control list that Redis 7 and Valkey read.
 
 A command server cannot say where the robot is, a low-level server cannot give commands, a recorder reads everything
-and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer says nothing at all.
-Everybody may press the emergency stop, on a key whose every write stops; only an operator writes the key that releases
-it. No role may change the server's settings, run scripts or delete the keys of others. The default user, whom a
-stranger is, is off.
+and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer says nothing at all. A
+console asks and answers for the people who look at it, and commands nothing. Everybody may press the emergency stop,
+on a key whose every write stops; only an operator and a console write the key that releases it. No role may change the
+server's settings, run scripts or delete the keys of others. The default user, whom a stranger is, is off.
 """
 
 from __future__ import annotations
@@ -38,14 +38,16 @@ _OPERATOR = (
 )  # fmt: skip
 _SENSORS = (keys.camera_image(_ANY), keys.camera_depth(_ANY), keys.lidar_cloud(_ANY), keys.lidar_imu(_ANY))
 _BUTTONS = (keys.ARM, keys.RECORD)  # of a device that commands
-_SERVERS = ("command", "low-level", "recorder", "sensor", "observer")
+_ASKED = (keys.ARM, keys.RECORD, keys.MOTION_CONTROL, keys.RUNBOOK_ANSWER)  # of a person, who looks at the robot
+_SERVERS = ("command", "low-level", "recorder", "sensor", "observer", "console")
+_RELEASES = ("operator", "console")
 
 ROLES = (*_SERVERS, "viewer", "operator")
 
 
 def stop_key(user: str | None) -> str:
-    """Return the key on which a user presses the stop; of the users of this list only the operator may release one."""
-    return keys.ESTOP_PRESSED if user in ROLES and user != "operator" else keys.ESTOP
+    """Return the key on which a user presses the stop: of those of this list who may not release one, the other."""
+    return keys.ESTOP_PRESSED if user in ROLES and user not in _RELEASES else keys.ESTOP
 
 
 def writes(servers: Mapping[str, Collection[str]] | None = None) -> dict[str, tuple[str, ...]]:
@@ -86,11 +88,13 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
         "recorder": (keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE, keys.EVENT),
         "sensor": (*_OPERATOR, *_SENSORS, *shared["sensor"], keys.EVENT),
         "observer": (keys.log(_ANY), keys.EVENT),
+        "console": (*_ASKED, keys.ESTOP, keys.ESTOP_PRESSED, keys.EVENT),
         "viewer": (),
         "operator": (
             *commands,
             *signals,
-            *_BUTTONS,
+            *_ASKED,
+            keys.RUNBOOK,
             keys.ESTOP,
             keys.ESTOP_PRESSED,
             keys.CONTROLLER,
@@ -98,12 +102,11 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
             keys.TWIN,
             keys.host(_ANY),
             keys.EVENT,
-            keys.MOTION_CONTROL,
         ),
     }
 
 
-_MORE = {"recorder": "+psync +replconf +del +multi +exec", "operator": "+del"}
+_MORE = {"recorder": "+psync +replconf +del +multi +exec", "operator": "+del", "console": "+del"}
 _PLACEHOLDER = "PASSWORD-OF-{role}"
 
 

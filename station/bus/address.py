@@ -188,12 +188,16 @@ def _login_of(file: Path, user: str | None) -> tuple[str | None, str]:
     raise ConfigError(f"password file {file}: has no password of user {user or DEFAULT_USER!r}")
 
 
-def runtime_folder() -> Path:
-    """Return the folder (mode 0700) that holds this user's sockets; made when missing."""
+def runtime_folder(longest: str = "bus.sock") -> Path:
+    """Return the folder (mode 0700) that holds this user's sockets; made when missing.
+
+    Args:
+        longest: The longest name of a socket that it is for.
+    """
     base = os.environ.get("XDG_RUNTIME_DIR")
     short = Path(tempfile.gettempdir()) / f"station-{os.getuid()}"
     folder = Path(base) / "station" if base else short
-    if len(os.fsencode(folder / "bus.sock")) > _SOCKET_PATH_LIMIT:
+    if len(os.fsencode(folder / longest)) > _SOCKET_PATH_LIMIT:
         # A socket's path must be short; folders that differ must not meet in one.
         folder = short.with_name(f"{short.name}-{hashlib.sha256(os.fsencode(folder)).hexdigest()[:8]}")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -255,6 +255,10 @@ def _station() -> list[Contract]:
         ),
         make(keys.POLICY, "control", "json", "which policy shall drive a robot; answered in its command_gate"),
         make(keys.TWIN, "control", "json", "faults of a robot twin; answered in the heartbeat of its server"),
+        make(keys.RUNBOOK, "control", "json", "what the runbook is doing: steps and the open question, twice a second"),
+        make(
+            keys.RUNBOOK_ANSWER, "control", "json", "an answer to its question; what came of it is in station:runbook"
+        ),
         make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
         make(
             keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"

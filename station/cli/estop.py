@@ -9,7 +9,7 @@ import click
 from station.api.live import Station
 from station.cli.options import address_of, bus_option
 from station.errors import BusError, StationError, UsageError
-from station.life.stop_button import keep_for_the_next_start
+from station.life.stop_button import keep_for_the_next_start, say_past_bus
 from station.life.stop_file import StopFile, remedy
 
 
@@ -25,8 +25,9 @@ from station.life.stop_file import StopFile, remedy
 def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
     """Stop every robot on the bus: its joints are damped until --reset. `SET station:estop 1` does the same.
 
-    The stop outlives the bus, its servers and a reboot. After --reset a robot stands; commands that ran on through the
-    stop are not followed until they have ceased and begun anew.
+    Where the bus is dead or frozen, what `station up` drives on this machine is stopped past it, with exit code 1: see
+    that every robot is damped. The stop outlives the bus, its servers and a reboot. After --reset a robot stands;
+    commands that ran on through the stop are not followed until they have ceased and begun anew.
     """
     if arm and not reset:
         raise UsageError("--arm: expected together with --reset; a stop arms nothing")
@@ -36,13 +37,16 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
         if reset:
             raise
         raise UsageError(f"NO robot was stopped ({error}); --bus URL names the bus") from None
+    call = None if reset else say_past_bus(address, reason)
     try:
         station = Station(bus, name="estop")
     except BusError as error:
-        if not reset:
-            raise keep_for_the_next_start(address, reason, error) from None
+        if call is not None:
+            raise keep_for_the_next_start(address, reason, error, call) from None
         _release_without_a_bus(StopFile(address), reason, error)
         return
+    if call is not None:
+        call.close()  # `Station.estop` says it again, and tells what came of it
     with station:
         if reset:
             station.release(reason, arm=arm)

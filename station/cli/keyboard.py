@@ -14,6 +14,7 @@ import select
 import sys
 import termios
 import threading
+import time
 import tty
 from collections.abc import Callable
 from types import TracebackType
@@ -25,6 +26,7 @@ _KEY = re.compile(r"\x1b(?:\[[0-9;]*[A-Za-z~]|O[A-Za-z])|.", re.DOTALL)
 """A key as a terminal sends it: an arrow or function key is a sequence, whose letters are no keys."""
 _IDLE_S = 0.25
 _LISTEN_S = 0.05
+_DEAF_S = 1.0  # an Enter that was on its way to a question must not begin to drive a robot
 
 _LFLAG, _IFLAG, _CC = 3, 0, 6  # places in what termios returns
 
@@ -51,6 +53,7 @@ class Keyboard:
         self._act_at_once, self._take, self._idle, self._show = act_at_once, take, idle, show
         self._typed: str | None = None  # the answer so far, while a question is open
         self._answered = threading.Event()
+        self._deaf_until_s = 0.0
         self._before: list[Any] | None = None
         self._thread: threading.Thread | None = None
         self._wake = -1
@@ -66,13 +69,18 @@ class Keyboard:
         """Name of the pseudo terminal for servers; "" where nobody can type here."""
         return self._lent.name if self._lent is not None else ""
 
-    def ask(self, question: str, stop: threading.Event) -> str:
-        """Show a question; return the line that is typed from now on, or "" when `stop` is set before it ends."""
+    def ask(self, question: str, stop: threading.Event, is_answered: Callable[[], bool] = lambda: False) -> str:
+        """Show a question; return the line that is typed from now on, or "" when `stop` is set before it ends.
+
+        Once it `is_answered` by somebody else it ends as well; what was about to be typed is nobody's key for a moment.
+        """
         self._answered.clear()
         self._typed = ""  # first: who answers as soon as the question is there is heard
         self._show(question)
-        while not self._answered.wait(_LISTEN_S) and not stop.is_set() and self.is_there:
+        while not self._answered.wait(_LISTEN_S) and not stop.is_set() and not is_answered() and self.is_there:
             pass
+        if not self._answered.is_set() and is_answered():
+            self._deaf_until_s = time.monotonic() + _DEAF_S
         answer, self._typed = self._typed, None
         return answer if self._answered.is_set() else ""
 
@@ -121,6 +129,8 @@ class Keyboard:
         """Use a key that was typed, or send it to the servers; called in the keyboard's thread."""
         typed = self._typed
         if self._act_at_once(key, bool(typed)):
+            return
+        if typed is None and time.monotonic() < self._deaf_until_s:
             return
         if typed is None or self._answered.is_set():
             if not self._take(key) and self._lent is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import logging
 import sys
 import threading
@@ -17,7 +18,7 @@ from rich.markup import escape
 from station.arms import remedy_of
 from station.bus.client import Bus
 from station.cli.keyboard import Keyboard
-from station.errors import BusError
+from station.errors import BusError, StoppedPastBus
 from station.life.events import Severity
 from station.life.server import Health
 from station.life.stop_button import StopButton
@@ -28,6 +29,7 @@ from station.view.table import plain, render_servers
 
 _REFRESH_HZ = 8
 _LOOK_S = 0.5  # without a screen
+_LISTEN_S = 0.05
 _TELL_S = 10.0  # without a screen, while the same is being played
 _AGAIN = ("r", "R")
 _LONGEST = 200  # characters of something that happened; the log and the episode have the rest
@@ -35,6 +37,7 @@ _ANSWERS = {"y": True, "yes": True, "n": False, "no": False, "": False}
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
 
 KEYS = (" ", "e", "E")
+_KEY = "key in `station up`"
 HINT = "SPACE or e: emergency stop"
 
 _REPEATS_S = 1.0  # a key that is held down repeats thirty times a second
@@ -47,15 +50,16 @@ class TerminalUI:
     Args:
         stop: Ends a question without an answer when it is set.
         is_brief: For somebody who looks on: no table of the servers, and lines of progress where there is no screen.
+        waits_for_console: Whether somebody answers on the bus where nobody can type here.
 
     Attributes:
         estop_directly: What the emergency stop's key does beside writing it to the bus.
         look_for_dead: Tells how servers ended that have died and are not started again, by name; called by a thread.
     """
 
-    def __init__(self, stop: threading.Event, *, is_brief: bool = False) -> None:
+    def __init__(self, stop: threading.Event, *, is_brief: bool = False, waits_for_console: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False)
-        self._stop, self._is_brief = stop, is_brief
+        self._stop, self._is_brief, self._waits_for_console = stop, is_brief, waits_for_console
         self._live: Live | None = None
         self._step = ""
         self._names: Sequence[str] = ()
@@ -64,7 +68,7 @@ class TerminalUI:
         self._log = _Log(self)
         self._handlers: list[logging.Handler] = []
         self._stop_key: StopKey | None = None
-        self.estop_directly: Callable[[], None] = lambda: None
+        self.estop_directly: Callable[[str], object] = lambda _: None
         self.look_for_dead: Callable[[], Mapping[str, str]] = dict
         self._keyboard = Keyboard(self._act_at_once, self._take, self._watch_stop, self._echo)
         self._offered, self._is_taken = "", False
@@ -91,8 +95,8 @@ class TerminalUI:
 
     @property
     def is_attended(self) -> bool:
-        """Whether a person is at the terminal."""
-        return self._keyboard.is_there
+        """Whether a person is at the terminal, or is to answer on the bus."""
+        return self._keyboard.is_there or self._waits_for_console
 
     def offer(self, restart: str) -> None:
         """Show that a key starts some servers again, or no more."""
@@ -136,26 +140,31 @@ class TerminalUI:
         shown = text if len(text) <= _LONGEST or severity != "info" else text[:_LONGEST] + "…"
         self._print(f"{_MARKS[severity]} {plain(shown)}")
 
-    def confirm(self, sentence: str) -> bool:
+    def confirm(self, sentence: str, is_answered: Callable[[], bool]) -> bool:
         """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
         hint = "y goes on; n, or Enter alone, takes the station down"
-        return _ANSWERS.get(self._answer(f"{sentence} [y/N]", _ANSWERS, hint) or "", False)
+        return _ANSWERS.get(self._answer(f"{sentence} [y/N]", _ANSWERS, hint, is_answered) or "", False)
 
-    def ask(self, question: str, answers: Sequence[str]) -> str:
+    def ask(self, question: str, answers: Sequence[str], is_answered: Callable[[], bool]) -> str:
         """Ask a person for one of some words; without one at the terminal, and when interrupted, it is ""."""
         listed = {answer.lower(): answer for answer in answers}
-        given = self._answer(f"{question} [{'/'.join(answers)}]", listed, f"expected one of {', '.join(answers)}")
-        return listed.get(given or "", "")
+        hint = f"expected one of {', '.join(answers)}"
+        return listed.get(self._answer(f"{question} [{'/'.join(answers)}]", listed, hint, is_answered) or "", "")
 
-    def _answer(self, question: str, answers: Container[str], hint: str) -> str | None:
-        """Ask until the answer is one of some; None where nobody gives one."""
+    def _answer(self, question: str, answers: Container[str], hint: str, is_answered: Callable[[], bool]) -> str | None:
+        """Ask until the answer is one of some; None where nobody gives one here."""
         self._end_footer()
         if not self._keyboard.is_there:
-            self.report("nobody is here to answer; use --yes in simulation", "error")
+            if self._waits_for_console:
+                self.report(f"waiting for an answer from a console: {question}", "warning")
+                while not is_answered() and not self._stop.wait(_LISTEN_S):
+                    pass
+            else:
+                self.report("nobody is here to answer; use --yes in simulation, or --ask console", "error")
             return None
         while True:
-            answer = self._keyboard.ask(f"? {question} ({HINT}): ", self._stop).strip().lower()
-            if self._stop.is_set():
+            answer = self._keyboard.ask(f"? {question} ({HINT}): ", self._stop, is_answered).strip().lower()
+            if self._stop.is_set() or is_answered():
                 self._echo("\n")
                 return None
             if answer in answers:
@@ -230,7 +239,7 @@ class TerminalUI:
         return takes
 
     def _stop_directly(self) -> None:
-        self.estop_directly()
+        self.estop_directly(f"{getpass.getuser()}, {_KEY}")
 
     def _watch_stop(self) -> None:
         if self._stop_key is not None:
@@ -281,9 +290,10 @@ class StopKey:
         """Stop every robot; pressed again it does so again."""
         self._directly()
         try:
-            self._button.press("key in `station up`")
+            self._button.press(_KEY)
         except BusError as error:
-            self._say(f"EMERGENCY STOP: {error}; this station's own servers were told directly; trying on", "error")
+            own = "" if isinstance(error, StoppedPastBus) else "; this station's own servers were told directly"
+            self._say(f"EMERGENCY STOP: {error}{own}; trying on", "error")
             self._pressed_s = self._pressed_s or time.monotonic()
             return
         self._pressed_s = None
@@ -296,7 +306,7 @@ class StopKey:
         if self._pressed_s is None:
             return
         try:
-            self._button.press("key in `station up`, late")
+            self._button.press(f"{_KEY}, late")
         except BusError:
             return
         late_s, self._pressed_s = time.monotonic() - self._pressed_s, None

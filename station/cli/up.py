@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
@@ -16,6 +16,8 @@ from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
+from station.errors import UsageError
+from station.life.stop_line import StopLine
 from station.stop_signals import ENDING, set_on_signals
 from station.supervision import claims
 from station.supervision import runbook as runbooks
@@ -29,6 +31,8 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 @click.option(
     "--yes", is_flag=True, help="Answer confirmations with yes; recorded as unattended, refused for a real robot."
 )
+@click.option("--ask", "ask", type=click.Choice(["terminal", "console"]), default="terminal", show_default=True,
+              help="Who is asked where nobody can type here: nobody, or whoever answers from a console.")  # fmt: skip
 @click.option("--record", is_flag=True, help="Record an episode from before the robot moves until the end.")
 @click.option("--task", default="", shell_complete=candidates.tasks,
               help="Name of the task, for the episode.  [default: the runbook's name]")  # fmt: skip
@@ -44,10 +48,12 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 @data_option
 @bus_option
 def command(
-    runbook: str, yes: bool, record: bool, task: str, instruction: str, operator: str, for_: str | None,
+    runbook: str, yes: bool, ask: str, record: bool, task: str, instruction: str, operator: str, for_: str | None,
     hosts: tuple[str, ...], dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
 ) -> None:  # fmt: skip
     """Run RUNBOOK (a file, or the name of one that ships) in order, and take it all down again at the end."""
+    if yes and ask == "console":
+        raise UsageError("--yes and --ask console: expected one of them; --yes asks nobody")
     book = runbooks.load(runbooks.find(runbook), sets, hosts)
     if dry_run:
         print_plan(book)
@@ -59,7 +65,10 @@ def command(
     if record:
         person = {"id": user_config.operator(operator)}
         recording = Recording(task=task or book.name, instruction=instruction, operator=person, planned_s=for_s)
-    code, episode = run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)
+    code, episode = run(
+        book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s,
+        waits_for_console=ask == "console",
+    )  # fmt: skip
     if episode:
         click.echo(episode)
     raise SystemExit(code)
@@ -67,12 +76,13 @@ def command(
 
 def run(
     book: Runbook, *, bus: str | None, data: Path, recording: Recording | None, unattended: bool, for_s: float | None,
-    is_brief: bool = False,
+    is_brief: bool = False, waits_for_console: bool = False,
 ) -> tuple[int, str]:  # fmt: skip
     """Run a runbook in this terminal; return the exit code and the folder of the episode, "" where none was recorded;
     of one that was recorded on another machine, that machine's name and a colon before it.
 
-    `is_brief` shows progress to somebody who looks on, rather than servers to somebody who operates.
+    `is_brief` shows progress to somebody who looks on, rather than servers to somebody who operates; with
+    `waits_for_console` a question waits for an answer on the bus where nobody can type here.
     """
     from station.bus import address as addresses
     from station.bus.discovery import found_or_started
@@ -84,13 +94,20 @@ def run(
     with (
         claims.claimed(named or addresses.default(), names),
         _stop_on_signals() as stop,
-        TerminalUI(stop, is_brief=is_brief) as face,
+        TerminalUI(stop, is_brief=is_brief, waits_for_console=waits_for_console) as face,
         found_or_started(named, on_restart=lambda text: face.report(text, "warning")) as address,
     ):
-        with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
+        with (
+            Bus(address, name="supervisor", timeout_s=1.0) as line,
+            face.watching(line, names),
+            ExitStack() as stopping,
+        ):
             variables = {"STATION_DATA": str(data.absolute()), LENT_TERMINAL: face.lent_terminal}
             supervisor = Supervisor(line, log_folder(address), variables)
             face.estop_directly, face.look_for_dead = supervisor.estop, lambda: _died(supervisor)
+            stop_line = stopping.enter_context(StopLine(address, supervisor.estop))
+            if stop_line.failure:
+                face.report(stop_line.failure, "warning")
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:
                 code = session.run(stop, for_s=for_s)

@@ -160,7 +160,7 @@ class ForeignRobot(ABC):
             self.parts[name] = CommandedPart(path, watch, rests[name])
         self._stops = next(iter(self.parts.values())).watch
         self.why_stopped = ""
-        self._is_stopped_past_bus = False
+        self._stopped_past_bus = ""
         self._returning = set[str]()
         user = life.bus.address.username
         self._may_say_where = user not in acl.ROLES or user == "low-level"
@@ -236,9 +236,9 @@ class ForeignRobot(ABC):
 
     def _obey_stop(self) -> None:
         news = self._stops.pop_stop()
-        if self._is_stopped_past_bus:
-            self._is_stopped_past_bus = False
-            self._stop("key in `station up`")
+        if reason := self._stopped_past_bus:
+            self._stopped_past_bus = ""
+            self._stop(reason)
         elif news is not None and news.request.stop:
             self._stop(news.request.reason)
         elif news is not None and self.why_stopped:
@@ -252,8 +252,8 @@ class ForeignRobot(ABC):
             self.life.event("estop", severity="error", reason=reason, then="their robot is brought to rest")
         self.why_stopped = reason
 
-    def _on_supervisor_stop(self) -> None:
-        self._is_stopped_past_bus = True
+    def _on_supervisor_stop(self, reason: str) -> None:
+        self._stopped_past_bus = reason
 
     def _values(self, decided: tuple[Decision, ...]) -> dict[str, bytes]:
         """Return what a commander has to know of each part, by key: whether it is followed, and where the part is."""

@@ -82,7 +82,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             arbiter = CommandArbiter(config.rivals, config.return_after_s)
             self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
         self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].command_format.key
-        self._is_stopped_past_bus = False  # asked to, and not obeyed yet
+        self._stopped_past_bus = ""  # why it is asked to past the bus, and has not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
         self._arm_asked = NewRequests(self._watch, keys.ARM)
         self._arm_answer: ArmAnswer | None = None
@@ -187,7 +187,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         return state
 
     def _is_asked(self) -> bool:
-        return self._is_stopped_past_bus or self._watch.has_stop_news or self._arm_asked.has_come
+        return bool(self._stopped_past_bus) or self._watch.has_stop_news or self._arm_asked.has_come
 
     def _obey(self, now_s: float) -> bool:
         """Do what an operator asks for; return whether something was newly asked."""
@@ -225,8 +225,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._arm_done.put(request.id, self._arm_answer)
         return True
 
-    def _on_supervisor_stop(self) -> None:
-        self._is_stopped_past_bus = True
+    def _on_supervisor_stop(self, reason: str) -> None:
+        self._stopped_past_bus = reason
         self._watch.urgent.set()
 
     def _restate_stop(self) -> None:
@@ -237,10 +237,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             self._life.event("estop-restated", severity="warning", reason=gate.reason)
 
     def _obey_stop(self, now_s: float) -> bool:
-        if self._is_stopped_past_bus:
-            self._is_stopped_past_bus = False
+        if reason := self._stopped_past_bus:
+            self._stopped_past_bus = ""
             before = self._watch.pop_stop()  # what was written until now releases nothing
-            self._stop("key in `station up`")
+            self._stop(reason)
             if before is not None and (before.is_release_refused or not before.request.stop):
                 self._life.event("release-refused", severity="warning", reason=_TOO_EARLY)
             return True

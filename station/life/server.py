@@ -26,7 +26,7 @@ from station.life.events import Event, Severity
 log = logging.getLogger(__name__)
 
 State = Literal["unconfigured", "inactive", "active", "finalized"]
-Role = Literal["command", "low-level", "recorder", "sensor", "observer"]
+Role = Literal["command", "low-level", "recorder", "sensor", "observer", "console"]
 
 HEARTBEAT_S = 0.5
 DEAD_AFTER_S = 2.0  # four heartbeats
@@ -172,8 +172,8 @@ class Life:
             log.info("%s is active on %s; Ctrl-C ends it", self.name, self.bus.address)
         return True
 
-    def on_estop(self, act: Callable[[], None]) -> None:
-        """Have something called, in another thread, when the supervisor asks for the emergency stop past the bus."""
+    def on_estop(self, act: Callable[[str], None]) -> None:
+        """Have something called with the reason, in another thread, when the supervisor asks for the emergency stop."""
         if self._supervisor_pipe is not None:
             self._supervisor_pipe.on_estop = act
 

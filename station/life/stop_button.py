@@ -1,5 +1,7 @@
 """The emergency stop as a person presses it: a line of its own to the bus, and the truth about whether it was taken.
 
+It also reaches the robots of this machine's stations where the bus is dead (`station.life.stop_line`).
+
 Whether the bus takes it or not, a press is kept in the stop's file (`station.life.stop_file`) until it is released.
 
 The command line, the keys of ``station up`` and the buttons of input devices all press this one. It needs nobody else:
@@ -17,10 +19,11 @@ import msgspec
 from station.bus import acl, codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.errors import BusError, NotReady
+from station.errors import BusError, NotReady, StoppedPastBus
 from station.life import arm_request
 from station.life.server import Health, read_health
 from station.life.stop_file import StopFile, StopKeeper
+from station.life.stop_line import StopCall, StopReply
 
 WITHIN_S = 1.0
 """How long a press tries before it says that it was not taken [s]."""
@@ -30,16 +33,37 @@ _AGAIN_S = 0.02
 _LOOK_S = 0.005
 
 
-def keep_for_the_next_start(address: BusAddress, reason: str, error: BusError) -> BusError:
+def say_past_bus(address: BusAddress, reason: str) -> StopCall:
+    """Stop the robots of this user's stations on this machine past the bus, at once; as `StopButton.press` does too."""
+    return StopCall(address, f"{getpass.getuser()}, {reason}")
+
+
+def keep_for_the_next_start(address: BusAddress, reason: str, error: BusError, call: StopCall) -> BusError:
     """Keep a stop in its file where no bus took it, so that nothing starts under it; return what to raise.
 
     Args:
         address: The bus that is not there.
         reason: Why to stop.
         error: Why the bus could not be reached.
+        call: What was said past the bus.
     """
     StopFile(address).latch(f"{getpass.getuser()}, {reason}")
-    return BusError(f"NO robot was stopped ({error}); the stop is latched for the next start")
+    said = call.reply()
+    if said.told:
+        return _past_bus(error, said)
+    return BusError(f"NO robot was stopped ({error}){_not_told(said)}; the stop is latched for the next start")
+
+
+def _past_bus(error: BusError, said: StopReply) -> StoppedPastBus:
+    return StoppedPastBus(
+        f"stopped past the bus: {', '.join(said.told)}{_not_told(said)}; the bus did not take the stop ({error}), so "
+        "see that every robot is damped; it is latched for the next start",
+        said.told,
+    )
+
+
+def _not_told(said: StopReply) -> str:
+    return f"; NOT told: {', '.join(said.not_told)} (on another machine, or dead)" if said.not_told else ""
 
 
 class StopButton:
@@ -56,7 +80,7 @@ class StopButton:
 
     def __init__(self, address: BusAddress, *, name: str = "estop", who: str = "") -> None:
         self._bus = Bus(address, name=name, timeout_s=_ANSWER_S)
-        self._clock = self._bus.clock
+        self._address, self._clock = address, self._bus.clock
         self._who = who or getpass.getuser()
         self._lock = self._clock.lock()
         self._user = address.username or "default"
@@ -66,16 +90,23 @@ class StopButton:
     def press(self, reason: str) -> None:
         """Stop every robot on the bus, latched: their joints are damped until somebody releases the stop.
 
+        It goes to the stations of this machine past the bus first, which takes no time.
+
         Raises:
-            BusError: the bus did not take it, however often it was tried within `WITHIN_S`.
+            StoppedPastBus: the bus did not take it, but such a station did.
+            BusError: the bus did not take it, however often it was tried within `WITHIN_S`, and nobody else.
         """
-        asked_ns = self._clock.monotonic_ns()
+        asked_ns, said = self._clock.monotonic_ns(), f"{self._who}, {reason}"
+        call = StopCall(self._address, said)
         try:
             self._write(self._press_key, {"stop": True, "who": self._who, "reason": reason})
         except BusError as error:
+            if (reply := call.reply()).told:
+                raise _past_bus(error, reply) from None
             raise BusError(f"the stop was NOT taken ({error}); use the robot's own stop") from None
         finally:
-            self._keeper.latch(f"{self._who}, {reason}", asked_ns)
+            call.close()
+            self._keeper.latch(said, asked_ns)
 
     def release(self, reason: str, *, arm: bool = False) -> None:
         """Leave the stop; with `arm` a real robot is armed too.
@@ -88,7 +119,7 @@ class StopButton:
             request = {"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {})
             self._write(keys.ESTOP, request, removed=keys.ESTOP_PRESSED)
         except BusError as error:
-            who = f"; expected the bus's operator, not {self._user!r}" if "NOPERM" in str(error) else ""
+            who = f"; expected the bus's operator or console, not {self._user!r}" if "NOPERM" in str(error) else ""
             raise BusError(f"the stop is still latched ({error}){who}") from None
         self._keeper.release(f"{self._who}, {reason}", asked_ns)
 

@@ -21,6 +21,7 @@ from station.episode.storage.folder import data_folder
 from station.errors import ConfigError, Refused, StationError
 from station.life.request import parse
 from station.life.server import Life, ServerKind
+from station.life.stop_line import StopLine, StopReply
 from station.software import software
 from station.supervision import hosts
 from station.supervision.checks import free_gb
@@ -28,7 +29,7 @@ from station.supervision.hosts import HostFacts, RunningServer, Stage, Wanted, W
 from station.supervision.log_tail import LogTail
 from station.supervision.process import LocalProcess
 from station.supervision.runbook import SERVER_NAME
-from station.supervision.supervisor import log_file, log_folder
+from station.supervision.supervisor import log_file, log_folder, stop_all_directly
 
 _LOOK_S = 0.1
 _SAY_S = 0.5
@@ -77,7 +78,7 @@ class _Running:
     """A process that was wanted."""
 
     def __init__(self, wanted: WantedServer, log: Path) -> None:
-        self.number, self.log = wanted.process, log
+        self.kind, self.number, self.log = wanted.kind, wanted.process, log
         self.process: LocalProcess | None = None
         self.refused = ""
         self.stage: Stage = "load"
@@ -117,7 +118,7 @@ class Agent:
         key = keys.host(self._config.host)
         self._bus.clocks.start()  # so that a recorder elsewhere has this machine's clock, whoever commands its robot
         try:
-            with self._bus.watch([key]) as watch:
+            with self._bus.watch([key]) as watch, StopLine(self._bus.address, self._stop_directly):
                 seen = watch.latest(key)  # what stood there before: whoever wanted it may be gone
                 self._tell()
                 if not self._life.ready():
@@ -138,6 +139,11 @@ class Agent:
             return 0
         finally:
             self._finish()
+
+    def _stop_directly(self, reason: str) -> StopReply:
+        """Stop the robots of this machine, whatever the bus does."""
+        running = [(name, each.kind, each.process) for name, each in list(self._running.items())]
+        return stop_all_directly({name: (kind, process) for name, kind, process in running if process}, reason)
 
     def _hear(self, data: bytes) -> None:
         """Take what a station wants; say once what is no such thing."""

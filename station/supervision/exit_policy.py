@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from station.life.server import Health
 from station.life.stop_file import LatchedStop
 from station.supervision.runbook import Runbook
+from station.supervision.runbook_publisher import TERMINAL, GivenAnswer, RunbookPublisher
 from station.supervision.session_ui import SessionUI
 from station.supervision.supervisor import Supervisor, how_it_ended
 
@@ -21,6 +22,7 @@ SILENT_S = 3.0
 
 
 _DIED = "server-died"
+_RESTART = "restart"
 
 
 class ExitPolicy:
@@ -30,12 +32,24 @@ class ExitPolicy:
         runbook: What it starts, and what is to be done if one dies.
         supervisor: Has the processes.
         face: Shows and asks.
+        publisher: Asks on the bus.
+        on_restart: Called with the names of servers that are started again, and who wanted it.
         is_unattended: Whether no person is asked, even where one is there.
     """
 
-    def __init__(self, runbook: Runbook, supervisor: Supervisor, face: SessionUI, *, is_unattended: bool) -> None:
+    def __init__(
+        self,
+        runbook: Runbook,
+        supervisor: Supervisor,
+        face: SessionUI,
+        publisher: RunbookPublisher,
+        on_restart: Callable[[str, GivenAnswer], None],
+        *,
+        is_unattended: bool,
+    ) -> None:
         self._steps = {step.start: step for step in runbook.servers}
-        self._supervisor, self._ui = supervisor, face
+        self._supervisor, self._ui, self._publisher, self._on_restart = supervisor, face, publisher, on_restart
+        self._latched: Callable[[], LatchedStop | None] = lambda: None
         self._asks = face.is_attended and not is_unattended
         self._dead: dict[str, str] = {}  # how, by name
         self._silent: set[str] = set()
@@ -56,6 +70,7 @@ class ExitPolicy:
             health: What the servers said last; None where the bus cannot tell.
             latched: Returns the stop under which nothing is started again.
         """
+        self._latched = latched
         for name, code in self._supervisor.ended().items():
             step = self._steps[name]
             if name in self._dead:
@@ -74,12 +89,18 @@ class ExitPolicy:
             self._heard.clear()  # no server could be heard: their time begins anew when the bus is back
         else:
             self._check_silent(health)
-        if (self._dead or self._silent) and self._ui.pop_restart():
+        if (self._dead or self._silent) and (given := self._taken()) is not None:
             if (stop := latched()) is not None:
                 self._ui.report(f"{stop}; until then nothing starts", "error")
+                self._offer()
             else:
-                self._start_again()
+                self._start_again(given)
         return None
+
+    def _taken(self) -> GivenAnswer | None:
+        """Return who wants the servers started again, at the terminal or on the bus."""
+        typed = GivenAnswer(_RESTART, getpass.getuser(), TERMINAL) if self._ui.pop_restart() else None
+        return self._publisher.pop_taken(typed)
 
     def _check_silent(self, health: Sequence[Health]) -> None:
         now_s = self._supervisor.clock.monotonic_s()
@@ -109,15 +130,25 @@ class ExitPolicy:
         self._ui.report(f"server {name!r} {what}{keys}", "error")
 
     def _offer(self) -> None:
-        if self._asks:
-            self._ui.offer(", ".join(sorted({*self._dead, *self._silent})))
+        if not self._asks:
+            return
+        names = sorted({*self._dead, *self._silent})
+        self._ui.offer(", ".join(names))
+        hows = ", ".join(f"server {name!r} {self._dead.get(name, 'is silent')}" for name in names)
+        self._publisher.offer(f"{hows}: start {' and '.join(names)} again?" if names else "", _RESTART, self._why_not)
 
-    def _start_again(self) -> None:
-        for name in sorted({*self._dead, *self._silent}):
+    def _why_not(self) -> str:
+        """Return why nothing is started again now, or ""."""
+        return "" if (stop := self._latched()) is None else f"{stop}; until then nothing starts"
+
+    def _start_again(self, given: GivenAnswer) -> None:
+        names = sorted({*self._dead, *self._silent})
+        self._on_restart(", ".join(names), given)
+        for name in names:
             how = self._dead.pop(name, "was silent")
             self._silent.discard(name)
             self._heard.pop(name, None)
             self._starting.add(name)
-            self._supervisor.publish("server-restarted", "warning", server=name, reason=how, who=getpass.getuser())
+            self._supervisor.publish("server-restarted", "warning", server=name, reason=how, who=given.who)
             self._supervisor.start_again(name)
         self._offer()

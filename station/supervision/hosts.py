@@ -367,8 +367,9 @@ class RemoteProcess:
         """As `Process.go`."""
         self._host.want(self._name, self._number, "run")
 
-    def estop(self) -> None:
-        """As `Process.estop`: the bus is the only line to it, and has it already."""
+    def estop(self, reason: str) -> bool:
+        """As `Process.estop`: the bus is the only line to it; there, `station estop` asks its machine's agent."""
+        return False
 
     def terminate(self) -> None:
         """As `Process.terminate`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -51,8 +52,8 @@ class Process(Protocol):
         """Let it become active."""
         ...
 
-    def estop(self) -> None:
-        """Ask it for the emergency stop, past the bus where it runs on this machine."""
+    def estop(self, reason: str) -> bool:
+        """Ask it for the emergency stop, past the bus; return whether it was told: it runs, on this machine."""
         ...
 
     def terminate(self) -> None:
@@ -98,6 +99,7 @@ class LocalProcess:
         restarts: int = 0,
     ) -> None:
         self.log, self._clock = log, clock
+        self._pipe_lock = threading.Lock()  # an emergency stop comes from a thread of its own
         reading, self._pipe = os.pipe()
         os.set_inheritable(reading, True)
         bulk = bulk_of(bus)
@@ -137,9 +139,9 @@ class LocalProcess:
         """As `Process.go`."""
         self._write(b"go\n")
 
-    def estop(self) -> None:
-        """As `Process.estop`."""
-        self._write(b"estop\n")
+    def estop(self, reason: str) -> bool:
+        """As `Process.estop`; a child that is frozen was told, and obeys when it goes on."""
+        return self._process.poll() is None and self._write(f"estop {reason}\n".encode())
 
     def terminate(self) -> None:
         """As `Process.terminate`."""
@@ -165,12 +167,16 @@ class LocalProcess:
 
     def close(self) -> None:
         """As `Process.close`."""
-        if self._pipe >= 0:
-            os.close(self._pipe)
-        self._pipe = -1
+        with self._pipe_lock:
+            if self._pipe >= 0:
+                os.close(self._pipe)
+            self._pipe = -1
 
-    def _write(self, word: bytes) -> None:
-        if self._pipe < 0:
-            return
-        with contextlib.suppress(BrokenPipeError, BlockingIOError):  # dead, or frozen and told often enough
-            os.write(self._pipe, word)
+    def _write(self, word: bytes) -> bool:
+        """Say a word; return whether it has come, now or before: one that is frozen was told often enough."""
+        with self._pipe_lock, contextlib.suppress(BrokenPipeError):
+            if self._pipe >= 0:
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._pipe, word)
+                return True
+        return False

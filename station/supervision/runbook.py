@@ -24,7 +24,7 @@ from station.supervision.measure import Measure
 
 IfItDies = Literal["ask", "end", "restart"]
 
-_ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
+_ONLY_TELL = ("recorder", "sensor", "console")  # roles that move nothing by themselves
 _ANSWER = re.compile(r"[A-DF-Za-df-z0-9][A-Za-z0-9_-]*")
 SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
 """What servers and machines may be called."""

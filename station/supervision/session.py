@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import getpass
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from station.supervision.runbook import (
     StartStep,
     Step,
 )
+from station.supervision.runbook_publisher import TERMINAL, GivenAnswer, RunbookPublisher
 from station.supervision.session_ui import SessionUI
 from station.supervision.stop_memory import StopMemory
 from station.supervision.supervisor import NAME, Supervisor, how_it_ended
@@ -44,6 +44,7 @@ _LOOK_S = 0.1
 _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one no server can be supervised
 _RECORDER = "recorder"
 _UNATTENDED = "--yes"
+_YES_NO = ("yes", "no")
 _TOLD_OTHERWISE = (  # with more, by the session itself
     "record-start", "measured", "answered", "server-failed", "server-crashed", "server-died", "server-silent",
 )  # fmt: skip
@@ -51,12 +52,13 @@ _INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found or said at a step, for the manifest."""
+    """What was found or said at a step, for the manifest; `where` is "" for what the station found itself."""
 
     step: str
     answer: str
     who: str
     wall_ns: int
+    where: str = ""
     is_unattended: bool = False
 
 
@@ -107,7 +109,10 @@ class Session:
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
         self._bus_lost_s: float | None = None
-        self._exit_policy = ExitPolicy(runbook, supervisor, face, is_unattended=is_unattended)
+        self._publisher = RunbookPublisher(bus, runbook)
+        self._exit_policy = ExitPolicy(
+            runbook, supervisor, face, self._publisher, self._on_restart, is_unattended=is_unattended
+        )
         self.answers: list[Answer] = []
         self.episode: RecordAnswer | None = None
 
@@ -124,15 +129,16 @@ class Session:
         with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
             if (latched := memory.latched()) is not None:
                 raise Refused(f"{latched}, then start again")
-            try:
-                self._start_all(feed, memory, stop)
-                reason, code = self._watch_over(feed, memory, stop, for_s)
-            except StationError as error:
-                is_asked = stop.is_set()
-                reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
-            self._print_events(feed)
-            self._ui.report(reason, "error" if code == 1 else "info")
-            code = self._stop_servers(code)
+            with self._publisher:
+                try:
+                    self._start_all(feed, memory, stop)
+                    reason, code = self._watch_over(feed, memory, stop, for_s)
+                except StationError as error:
+                    is_asked = stop.is_set()
+                    reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
+                self._print_events(feed)
+                self._ui.report(reason, "error" if code == 1 else "info")
+                code = self._stop_servers(code)
             if (latched := memory.latched()) is not None:
                 self._ui.report(f"{latched}; until then nothing starts", "warning")
             return code
@@ -168,10 +174,16 @@ class Session:
 
     def _start_all(self, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
         self._spawn_next()
-        for step in self._runbook.steps:
+        for number, step in enumerate(self._runbook.steps):
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
-            self._run_step(step, feed, memory, stop)
+            self._publisher.step(number, "now")
+            try:
+                result = self._run_step(step, feed, memory, stop)
+            except StationError as error:
+                self._publisher.step(number, "failed", str(error))
+                raise
+            self._publisher.step(number, "done", result)
             self._print_events(feed)
 
     def _spawn_next(self) -> None:
@@ -184,7 +196,7 @@ class Session:
                 if server.kind.loads_first:
                     break
 
-    def _run_step(self, step: Step, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
+    def _run_step(self, step: Step, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> str:
         self._ui.begin(str(step))
         try:
             self._hold(memory, stop)
@@ -195,6 +207,7 @@ class Session:
         self._ui.done(str(step), result)
         if isinstance(step, StartStep) and step.start == _RECORDER and self._recording is not None:
             self._record(self._recording, stop)
+        return result
 
     def _to_blame(self, step: Step) -> str:
         """Return the step that failed: servers load side by side, and while one is waited for another may die."""
@@ -283,20 +296,39 @@ class Session:
         if self._is_unattended:
             return self._record_answer(step, "yes (unattended)", who=_UNATTENDED)
         while True:
-            if not self._ui.confirm(step.confirm):
-                raise NotReady(f"not confirmed: {step.confirm}")
+            given = self._given(
+                step.confirm, _YES_NO, lambda is_answered: _YES_NO[not self._ui.confirm(step.confirm, is_answered)]
+            )
+            if given is None or given.answer != "yes":
+                raise NotReady(f"not confirmed{_by(given)}: {step.confirm}")
             if not self._hold(memory, stop):  # what was confirmed before a stop has to be seen again after it
-                return self._record_answer(step, "yes", who=getpass.getuser())
+                return self._record_answer(step, "yes", who=given.who, where=given.where)
 
     def _ask(self, step: QuestionStep, memory: StopMemory, stop: threading.Event) -> str:
-        answer, who, is_held = "not asked", _UNATTENDED, not self._is_unattended
+        given, is_held = GivenAnswer("not asked", _UNATTENDED, ""), not self._is_unattended
         while is_held:
-            answer, who = self._ui.ask(step.ask, step.answers), getpass.getuser()
-            if not answer:
+            found = self._given(
+                step.ask, step.answers, lambda is_answered: self._ui.ask(step.ask, step.answers, is_answered)
+            )
+            if found is None:
                 raise NotReady(f"not answered: {step.ask}")
-            is_held = self._hold(memory, stop)
-        self._supervisor.publish("answered", "info", question=step.ask, answer=answer, who=who)
-        return self._record_answer(step, answer, who=who)
+            given, is_held = found, self._hold(memory, stop)
+        self._supervisor.publish("answered", "info", question=step.ask, answer=given.answer, who=given.who)
+        return self._record_answer(step, given.answer, who=given.who, where=given.where)
+
+    def _given(
+        self, sentence: str, answers: Sequence[str], prompt: Callable[[Callable[[], bool]], str]
+    ) -> GivenAnswer | None:
+        """Ask at the terminal and on the bus; return the first answer, and tell the terminal if it is of another."""
+        given = self._publisher.ask(sentence, answers, prompt)
+        if given is not None and given.where != TERMINAL:
+            self._ui.report(f"{sentence}  {given}", "warning")
+        return given
+
+    def _on_restart(self, names: str, given: GivenAnswer) -> None:
+        if given.where != TERMINAL:
+            self._ui.report(f"{names}: {given}", "warning")
+        self._keep_answer(f"restart {names}", given.answer, who=given.who, where=given.where)
 
     def _measure(self, step: MeasureStep, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> str:
         """Measure, show what came of it, and keep that.
@@ -347,13 +379,15 @@ class Session:
             named += arm_request.robots_of(self._bus).values()
         return list(dict.fromkeys(named))
 
-    def _record_answer(self, step: Step, answer: str, *, who: str) -> str:
-        self.answers.append(
-            Answer(
-                step=str(step), answer=answer, who=who, wall_ns=self._clock.wall_ns(), is_unattended=who == _UNATTENDED
-            )
-        )
+    def _record_answer(self, step: Step, answer: str, *, who: str, where: str = "") -> str:
+        self._keep_answer(str(step), answer, who=who, where=where)
         return answer
+
+    def _keep_answer(self, step: str, answer: str, *, who: str, where: str) -> None:
+        is_unattended, wall_ns = who == _UNATTENDED and not where, self._clock.wall_ns()
+        self.answers.append(
+            Answer(step=step, answer=answer, who=who, wall_ns=wall_ns, where=where, is_unattended=is_unattended)
+        )
 
     def _record(self, recording: Recording, stop: threading.Event) -> None:
         """Begin the episode, once everything is loaded that loads already: what cannot start leaves no episode."""
@@ -455,3 +489,7 @@ class Session:
             self.episode = remote.ask(self._bus, "stop", runbook=self._told())
         except StationError as error:
             self._ui.report(f"the episode was not closed here: {error}", "warning")
+
+
+def _by(given: GivenAnswer | None) -> str:
+    return f" by {given.who} ({given.where})" if given is not None and given.where != TERMINAL else ""

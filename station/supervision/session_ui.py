@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from station.life.events import Severity
@@ -33,12 +33,12 @@ class SessionUI(Protocol):
         """Something happened."""
         ...
 
-    def confirm(self, sentence: str) -> bool:
-        """Ask a person; whether the answer was yes."""
+    def confirm(self, sentence: str, is_answered: Callable[[], bool]) -> bool:
+        """Ask a person; whether the answer was yes. Ends without one once it `is_answered` elsewhere."""
         ...
 
-    def ask(self, question: str, answers: Sequence[str]) -> str:
-        """Ask a person for one of some words; "" where nobody answers."""
+    def ask(self, question: str, answers: Sequence[str], is_answered: Callable[[], bool]) -> str:
+        """Ask a person for one of some words; "" where nobody answers, and once it `is_answered` elsewhere."""
         ...
 
     def offer(self, restart: str) -> None:

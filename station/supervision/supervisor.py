@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 
 from station import config as configuration
+from station import registry
 from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -29,10 +30,13 @@ from station.life.event_publisher import EventPublisher
 from station.life.events import Severity
 from station.life.restarts import Restarts
 from station.life.server import Health, State, decode_health
+from station.life.stop_line import StopReply
 from station.supervision.hosts import Hosts
 from station.supervision.process import LocalProcess, Process
 
 NAME = "supervisor"
+
+_DRIVES = "low-level"  # the role of what drives a robot
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
@@ -218,11 +222,13 @@ class Supervisor:
                 count = max(1, child.restarts.count)
             self._launch_again(child, count)
 
-    def estop(self) -> None:
-        """Ask every child that drives a robot for the emergency stop, those of this machine whatever the bus does."""
-        with self._lock:
-            for child in self.children.values():
-                child.process.estop()
+    def estop(self, reason: str) -> StopReply:
+        """Ask every child of this machine that drives a robot for the emergency stop, whatever the bus does.
+
+        It does not wait for what else is done to a child, which may wait for the bus.
+        """
+        return stop_all_directly({child.name: (child.kind, child.process) for child in list(self.children.values())},
+                                 reason)  # fmt: skip
 
     def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
         """Ask a child to finish, wait, kill it if it does not; return its exit code.
@@ -266,6 +272,20 @@ class Supervisor:
     def last_words(self, name: str) -> str:
         """Return the last line that a child printed: its reason, when it ended by itself."""
         return self.children[name].process.last_words()
+
+
+def stop_all_directly(processes: Mapping[str, tuple[str, Process]], reason: str) -> StopReply:
+    """Ask every process for the emergency stop past the bus; tell what came of it where it drives a robot.
+
+    Args:
+        processes: Kind and process of servers, by name.
+        reason: Who asks for it, and why.
+    """
+    told = {name: process.estop(reason) for name, (_, process) in processes.items()}
+    robots = [name for name, (kind, _) in processes.items() if registry.find("server", kind).role == _DRIVES]
+    return StopReply(
+        told=tuple(name for name in robots if told[name]), not_told=tuple(name for name in robots if not told[name])
+    )
 
 
 def how_it_ended(code: int) -> str:

@@ -30,6 +30,9 @@ def test_what_is_published_is_read_followed_and_refused_as_by_one_that_waits(bus
                 await lab.publish({KEY: [1.0]})
             with pytest.raises(NotReady, match="record mark: no recorder answered"):
                 await lab.record.mark("here")
+            assert await lab.runbook() is None
+            with pytest.raises(NotReady, match="no runbook is run on"):
+                await lab.answer("a", "yes", who="anna")
             found = await lab.read(KEY)
             assert found is not None
             return [first.json(), second.json(), found.json()], [first.writer, *await lab.keys("state_*")]

@@ -23,6 +23,8 @@ def test_the_examples_run(own: Home, capsys: pytest.CaptureFixture[str]) -> None
             names["said"] = capsys.readouterr().out.split()
     assert names["said"] in (["good"], ["usable"], ["reject"]), "a busy machine may be late"
     assert names["stopped"] == ["g1"]
+    assert names["steps"][-1][0].startswith("start motion ")
+    assert {state for _, state in names["steps"]} == {"done"}
     assert names["gate"]["arming"] == "armed"
     assert (len(names["joints"]), len(names["vector"])) == (29, 65)
     assert names["begun"].detail["episode_id"]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from station.cli import keyboard as keyboard_module
 from station.cli.keyboard import Keyboard, keys_of
 
 
@@ -37,6 +38,23 @@ def test_what_was_typed_before_a_question_is_no_answer_to_it() -> None:
         keys.press(key)
     assert keys.ask("Go? ", threading.Event()) == ""
     assert taken == ["y", "\r"]
+
+
+def test_a_question_that_was_answered_elsewhere_ends_and_the_enter_that_was_on_its_way_is_nobodys_key(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def show(text: str) -> None:
+        if text == "Go? ":
+            keys.press("y")
+
+    keys, taken = keyboard(show)
+    assert keys.ask("Go? ", threading.Event(), lambda: True) == ""
+    keys.press("\r")
+    assert taken == []
+    monkeypatch.setattr(keyboard_module, "_DEAF_S", 0.0)
+    assert keys.ask("Go? ", threading.Event(), lambda: True) == ""
+    keys.press("\r")
+    assert taken == ["\r"], "the next key is one again"
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,14 @@ from pathlib import Path
 import pytest
 
 from adapters.robots.g1 import twist_keys
+from station import Station
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.stamp import decode
 from station.episode.storage.manifest import load_manifest
+from station.errors import Refused
 from tests.cli.at_terminal import AtTerminal
-from tests.cli.running import COMMANDS_ONLY, SHORT, Home
+from tests.cli.running import COMMANDS_ONLY, SHORT, Home, one_line
 from tests.cli.screen import screen
 from tests.cli.stopped import release
 from tests.waiting import wait_until
@@ -132,6 +134,63 @@ def test_a_question_takes_one_of_its_words_and_a_measurement_shows_how_far_it_is
         terminal.type(b"\x03")
         terminal.wait_for("stopped: asked to stop while it was measured", measuring)
         assert terminal.finish() == 130
+
+
+def test_a_question_is_answered_by_a_console_while_somebody_types_and_the_terminal_is_told(
+    home: Home, tmp_path: Path
+) -> None:
+    question = "  - ask: How is the arm?\n    answers: [limp, stiff]\n"
+    with AtTerminal(home, "up", written(tmp_path, ASK + question + MOTION)) as terminal:
+        asked = terminal.wait_for("[y/N]")
+        terminal.type(b"y")
+        with Station(home.bus.url) as lab:
+            first = open_question(lab)
+            lab.answer(first, "yes", who="anna", where="console")
+            told = terminal.wait_for("Nobody stands there.  yes, by anna (console)", asked)
+            again = terminal.wait_for("? How is the arm? [limp/stiff]", told)
+            second = open_question(lab, after=first)
+            terminal.type(b"limp\r")
+            terminal.wait_for("ask: How is the arm?", again)
+            with pytest.raises(Refused, match=rf"answered: limp, by {getpass.getuser()} \(terminal\)"):
+                lab.answer(second, "stiff", who="anna", where="console")
+        terminal.send(signal.SIGINT)
+        terminal.finish()
+
+
+def test_where_nobody_can_type_a_station_waits_for_a_console_if_it_is_told_to(home: Home, tmp_path: Path) -> None:
+    book = written(tmp_path, ASK + MOTION)
+    with home.running("up", book) as station:
+        station.wait_for("nobody is here to answer; use --yes in simulation, or --ask console")
+        assert station.finish()[0] == 1
+    with home.running("up", book, "--ask", "console") as station:
+        station.wait_for("waiting for an answer from a console: Nobody stands there.")
+        with Station(home.bus.url) as lab:
+            lab.answer(open_question(lab), "yes", who="anna", where="console")
+            station.wait_for("motion: motion-start")
+            os.kill(home.pids()["motion"], signal.SIGKILL)
+            lab.answer(open_question(lab), "restart", who="anna", where="console")
+            station.wait_for("server-restarted server=motion")
+            station.wait_for("server-active server=motion")
+        station.interrupt()
+        assert station.finish()[0] == 0
+    with home.running("up", book, "--ask", "console") as station:
+        station.wait_for("waiting for an answer from a console")
+        station.interrupt()
+        assert station.finish()[0] == 130
+    assert "--yes asks nobody" in one_line(home.run("up", book, "--yes", "--ask", "console"))
+
+
+def open_question(lab: Station, after: str = "") -> str:
+    """Wait for the question that is asked now, and return its id."""
+    found: list[str] = []
+
+    def is_open() -> bool:
+        status = lab.runbook()
+        found[:] = [] if status is None or status.question is None else [status.question.id]
+        return bool(found) and found != [after]
+
+    wait_until(is_open)
+    return found[0]
 
 
 def test_keys_drive_from_this_terminal_and_space_stops_here_too(home: Home, tmp_path: Path) -> None:
@@ -265,7 +324,8 @@ def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: H
         try:
             terminal.type(b" ")
             (log,) = Path(home.environment["XDG_RUNTIME_DIR"]).rglob("g1.log")
-            wait_until(lambda: "estop reason=key in `station up`" in log.read_text())
+            said = f"estop reason={getpass.getuser()}, key in `station up`"
+            wait_until(lambda: said in log.read_text())
         finally:
             os.kill(pid, signal.SIGCONT)
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:

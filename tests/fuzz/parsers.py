@@ -82,8 +82,10 @@ from station.life import (
     estop,
     events,
     policy_request,
+    runbook_request,
     stop_button,
     stop_file,
+    stop_line,
     twin_request,
 )
 from station.life.request import parse
@@ -140,6 +142,11 @@ def _shown(*pages: RenderableType) -> None:
 NOW_NS = time.time_ns()
 EVENT = events.make("g1", "fall", "warning", tilt_rad=1.2, contacts=["hand"], reason="so; it is", episode_id="a-0007")
 _CLIPS = [{"name": "wave", "start_s": 0.0, "end_s": 6.0}, {"name": "bow", "start_s": 6.0}]
+RUNBOOK: dict[str, Any] = {
+    "name": "t", "robot": ROBOT, "robot_is_real": True, "steps": [{"text": "start g1", "state": "now", "result": "a"}],
+    "question": {"id": "1", "sentence": "Clear?", "answers": ["yes", "no"], "hold_s": 1.2},
+    "results": [{"id": "2", "refused": "too late"}], "is_over": False,
+}  # fmt: skip
 DESCRIPTION: dict[str, Any] = {
     "name": ROBOT, "model": "strider", "joints": [{"name": "knee", "lower": -1.0, "upper": 1.5}, {"name": "hip"}],
     "groups": {"leg": ["knee", "hip"]}, "parts": {"hand": ["action_hand_{robot}", "state_hand_{robot}"]},
@@ -625,6 +632,13 @@ def _stops_and_requests() -> list[Parser]:
                (_LIFE + "policy_request",)),
         Parser("policies of a robot", partial(_policies_of, keys.server_config("g1")), (dumped(CONFIG),),
                (_LIFE + "policy_request",), (NotReady,)),
+        Parser("runbook status", runbook_request.decode_status, (dumped(RUNBOOK),), (_LIFE + "runbook_request",)),
+        Parser("runbook answer", partial(parse, kind=runbook_request.AnswerRequest, what="one"),
+               (b'{"question": "a", "answer": "yes", "who": "ada", "where": "console", "id": "1", "late_s": 1}',),
+               (_LIFE + "request", "station.supervision.runbook_publisher"), (Refused,)),
+        Parser("line of a stop", stop_line.parse, (b"stop ada, it smokes",), (_LIFE + "stop_line",)),
+        Parser("answer to a stop", stop_line.decode_reply,
+               (b'{"told": ["g1"], "not_told": ["kassow"], "why_not": "a"}\n',), (_LIFE + "stop_line",)),
         Parser("twin request", partial(parse, kind=twin_request.TwinRequest, what="one"),
                (b'{"faults": {"gantry": "slack"}, "is_well": true, "id": "1", "server": "a", "late_s": 1}',),
                (_LIFE + "request", "servers.robot_twin"), (Refused,)),

@@ -82,23 +82,37 @@ def test_viewers_press_the_stop_and_write_nothing_else(as_role: As) -> None:
     assert [key for key in names if may_write(as_role("viewer"), key)] == [keys.ESTOP_PRESSED]
 
 
-def test_everybody_may_press_the_stop_and_only_an_operator_may_release_it(as_role: As) -> None:
+def test_a_console_asks_and_answers_and_drives_nothing(as_role: As) -> None:
+    own = [keys.server("console"), keys.server_config("console"), keys.clock("a"), keys.EVENT]
+    asks = [keys.ARM, keys.RECORD, keys.MOTION_CONTROL, keys.RUNBOOK_ANSWER, keys.ESTOP, keys.ESTOP_PRESSED]
+    names = [contract.key for contract in contracts.contracts()]
+    names += ["action_walk_strider", keys.command_source(ROBOT), keys.host("a"), "anything"]
+    found = [key for key in dict.fromkeys([*names, *own, *asks]) if may_write(as_role("console"), key)]
+    assert sorted(found) == sorted([*own, *asks])
+
+
+def test_only_the_operators_station_says_what_a_runbook_does_and_a_console_may_answer(as_role: As) -> None:
+    assert [role for role in acl.ROLES if may_write(as_role(role), keys.RUNBOOK)] == ["operator"]
+    assert {role for role in acl.ROLES if may_write(as_role(role), keys.RUNBOOK_ANSWER)} == {"console", "operator"}
+
+
+def test_everybody_may_press_the_stop_and_only_operator_and_console_may_release_it(as_role: As) -> None:
     assert [role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP_PRESSED)] == list(acl.ROLES)
-    assert [role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP)] == ["operator"]
-    with StopButton(as_role("operator")) as operator:
+    assert [role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP)] == ["console", "operator"]
+    with StopButton(as_role("operator")) as operator, StopButton(as_role("console")) as console:
         for role in acl.ROLES:
             with StopButton(as_role(role)) as button, Bus(as_role(role), name="t", timeout_s=5.0) as bus:
                 button.press("a test")
                 found = stop_file.on_bus(bus.address, bus.read(estop.KEYS).get)
                 assert found is not None, role
                 assert found.reason.endswith("a test"), role
-                if role != "operator":
+                if role not in ("console", "operator"):
                     with pytest.raises(BusError, match=r"still latched .*NOPERM"):
                         button.release("a test")
                     for request in (["DEL", keys.ESTOP_PRESSED], ["GETDEL", keys.ESTOP_PRESSED]):
                         with pytest.raises(BusError, match="NOPERM"):
                             bus.call(*request)
-            operator.release("a test")
+            (console if role == "viewer" else operator).release("a test")
         with Bus(as_role("viewer"), name="t", timeout_s=5.0) as bus:
             assert stop_file.on_bus(bus.address, bus.read(estop.KEYS).get) is None
 

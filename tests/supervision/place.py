@@ -13,6 +13,7 @@ from station.life.server import Health
 from station.supervision import runbook
 from station.supervision.session import Recording, Session
 from station.supervision.supervisor import Supervisor
+from tests.waiting import wait_until
 
 HEAD = "runbook: t\nrobot: unitree_g1_with_hands\n"
 ASK = "  - confirm: Nobody stands there.\n"
@@ -27,6 +28,7 @@ class Person:
 
     answer: bool = True
     word: str = ""
+    is_elsewhere: bool = False  # waits for somebody else to answer
     asked: Callable[[], None] = lambda: None
     told: list[str] = field(default_factory=list)
     shown: list[list[Health]] = field(default_factory=list)
@@ -46,14 +48,18 @@ class Person:
     def report(self, text: str, severity: Severity = "info") -> None:
         self.told.append(f"{severity} {text}")
 
-    def confirm(self, sentence: str) -> bool:
+    def confirm(self, sentence: str, is_answered: Callable[[], bool]) -> bool:
         self.told.append(f"asked {sentence}")
         self.asked()
+        if self.is_elsewhere:
+            wait_until(is_answered)
         return self.answer
 
-    def ask(self, question: str, answers: Sequence[str]) -> str:
+    def ask(self, question: str, answers: Sequence[str], is_answered: Callable[[], bool]) -> str:
         self.told.append(f"asked {question} {'/'.join(answers)}")
         self.asked()
+        if self.is_elsewhere:
+            wait_until(is_answered)
         return self.word
 
     def offer(self, restart: str) -> None:

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -14,6 +15,7 @@ from station.bus import codec, keys, stamp
 from station.bus.client import Bus
 from station.supervision.hosts import LEASE_S, Wanted, WantedServer
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home, Running, are_gone, new_home, one_line
+from tests.faults.stops import LIGHT_G1
 from tests.waiting import wait_until
 
 BOTH = ("--on", "recorder=robot", "--on", "motion=robot", "--set", "motion.loop=true", *SHORT)
@@ -60,6 +62,28 @@ def test_a_station_on_another_machine_is_recorded_there_and_ends_in_order(site: 
     assert site.robot.run("check", "latest").returncode == 0
     assert "record-stop" in site.desk.run("logs", "recorder").stdout, "its lines came over the bus"
     assert "runs nothing" in site.desk.run("host", "list").stdout
+
+
+def test_past_a_frozen_bus_a_stop_reaches_the_robot_on_whose_machine_it_is_pressed(site: Site) -> None:
+    with site.desk.running("up", "g1-sim-motion", "--yes", "--on", "g1=robot", "--on", "recorder=robot",
+                           *LIGHT_G1) as station:  # fmt: skip
+        station.wait_for("to=tracking")
+        with Bus(site.robot.bus, name="test", timeout_s=5.0) as bus:
+            pid = int(bus.call("INFO", "server").decode().split("process_id:")[1].split()[0])
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            here = one_line(site.desk.run("estop"))
+            assert here.startswith("NO robot was stopped (")
+            assert "; NOT told: g1 (on another machine, or dead); the stop is latched" in here
+            assert one_line(site.robot.run("estop")).startswith(
+                "stopped past the bus: g1; the bus did not take the stop"
+            )
+            (log,) = Path(site.robot.environment["XDG_RUNTIME_DIR"]).rglob("g1.log")
+            wait_until(lambda: "to=stopped" in log.read_text())
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        station.interrupt()
+        station.finish()
 
 
 def test_a_machine_that_has_not_joined_is_named_with_what_to_do(site: Site) -> None:

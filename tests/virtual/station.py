@@ -124,7 +124,7 @@ class ControlledRobot:
         assert self.life is not None
         pipe = self.life._supervisor_pipe
         assert pipe is not None
-        pipe.on_estop()
+        pipe.on_estop("a test")
 
     def _main(self, config: NoConfig, life: Life) -> int:
         clock = self._network.clock
@@ -154,7 +154,7 @@ class _NoSupervisor(SupervisorPipe):
     def __init__(self) -> None:
         self.activated = threading.Event()
         self.activated.set()
-        self.on_estop = lambda: None
+        self.on_estop = lambda _: None
 
 
 class Thinking(Obedient):
