@@ -66,7 +66,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
 	@echo "Installing into $(VENV); this takes about a minute …"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[console]'
 	@touch $@
 
 # A pinned torch: a looser pin can pull gigabytes of CUDA that no test uses. Of its files few are ever imported, and those

@@ -33,6 +33,8 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 )
 @click.option("--ask", "ask", type=click.Choice(["terminal", "console"]), default="terminal", show_default=True,
               help="Who is asked where nobody can type here: nobody, or whoever answers from a console.")  # fmt: skip
+@click.option("--console", "is_console", is_flag=True,
+              help="Serve a page to watch, stop, record and answer from; prints its links.")  # fmt: skip
 @click.option("--record", is_flag=True, help="Record an episode from before the robot moves until the end.")
 @click.option("--task", default="", shell_complete=candidates.tasks,
               help="Name of the task, for the episode.  [default: the runbook's name]")  # fmt: skip
@@ -48,18 +50,20 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 @data_option
 @bus_option
 def command(
-    runbook: str, yes: bool, ask: str, record: bool, task: str, instruction: str, operator: str, for_: str | None,
-    hosts: tuple[str, ...], dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
+    runbook: str, yes: bool, ask: str, is_console: bool, record: bool, task: str, instruction: str, operator: str,
+    for_: str | None, hosts: tuple[str, ...], dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
 ) -> None:  # fmt: skip
     """Run RUNBOOK (a file, or the name of one that ships) in order, and take it all down again at the end."""
     if yes and ask == "console":
         raise UsageError("--yes and --ask console: expected one of them; --yes asks nobody")
-    book = runbooks.load(runbooks.find(runbook), sets, hosts)
+    book = runbooks.load(runbooks.find(runbook), sets, hosts, first=("console",) if is_console else ())
     if dry_run:
         print_plan(book)
         book.expect_found()
         return
     book.expect_found()
+    if is_console:
+        print_links(book)
     recording = None
     for_s = None if for_ is None else config.seconds(for_, where="--for")
     if record:
@@ -67,7 +71,7 @@ def command(
         recording = Recording(task=task or book.name, instruction=instruction, operator=person, planned_s=for_s)
     code, episode = run(
         book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s,
-        waits_for_console=ask == "console",
+        waits_for_console=ask == "console" or (is_console and not yes),
     )  # fmt: skip
     if episode:
         click.echo(episode)
@@ -139,6 +143,16 @@ def _summary(episode: RecordAnswer) -> str:
         shown += f": {counted['seconds']:.1f} s, {counted['messages']} messages, {counted['lost']} lost"
         shown += f", {counted['dropped']} dropped" if counted["dropped"] else ""
     return shown
+
+
+def print_links(book: Runbook) -> None:
+    """Print where the console of a station will be, with what lets a page in."""
+    from station.web import links
+
+    (step,) = (step for step in book.servers if step.kind.name == "console")
+    if not step.host:
+        for role, link in links.of_config(config.to_plain(step.config)).items():
+            click.echo(f"{role}: {link}")
 
 
 def print_plan(book: Runbook) -> None:

@@ -298,26 +298,33 @@ def describe(path: Path) -> tuple[str, str]:
     return file.robot, file.description
 
 
-def load(path: Path, sets: Sequence[str] = (), hosts: Sequence[str] = ()) -> Runbook:
+def load(
+    path: Path, sets: Sequence[str] = (), hosts: Sequence[str] = (), *, first: Sequence[str] = ()
+) -> Runbook:  # fmt: skip
     """Read and validate a runbook.
 
     Args:
         path: The YAML file.
         sets: ``server.key=value`` options laid over the file.
         hosts: ``server=host`` options likewise, ``server=`` for this machine.
+        first: Servers to start before all that it says, where it does not start them itself.
 
     Raises:
         BadFile, ConfigError, UnknownName: naming the file, step and key.
     """
     data = config.read_yaml(path)
     file = config.build(_File, data, where=str(path))
-    names = [str(step["start"]) for step in file.steps if "start" in step]
+    listed = [str(step["start"]) for step in file.steps if "start" in step]
+    before = [{"start": name} for name in first if name not in listed]
+    names = [*(step["start"] for step in before), *listed]
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
     changes = config.overrides(sets, servers=names)
     places = _places(hosts, names)
-    placed = [raw | {"host": places[raw["start"]]} if raw.get("start") in places else raw for raw in file.steps]
+    placed = [
+        raw | {"host": places[raw["start"]]} if raw.get("start") in places else raw for raw in (*before, *file.steps)
+    ]
     steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(placed, 1))
     if not names:
         raise ConfigError(f"{path}: starts nothing; expected at least one step such as `- start: motion`")

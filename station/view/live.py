@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-import numpy as np
 import rerun as rr
 
 from station.bus import codec, keys
@@ -68,7 +67,7 @@ class LiveView:
         self._recording.set_time(layout.TIMELINE, duration=self.clock.monotonic_s() - self._began_s)
         wanted = (*self._contracts, *self._shown, keys.EVENT, *self._lidars)
         fresh = {key: sample for key in wanted if (sample := self._fresh(key)) is not None}
-        numbers = {key: found for key in self._contracts if key in fresh and (found := self._numbers(fresh[key]))}
+        numbers = {key: found for key in self._contracts if key in fresh and (found := self._find(key))}
         for found in numbers.values():
             curves.log_values(self._recording, found.contract, found.values[0])
         if numbers:
@@ -121,21 +120,8 @@ class LiveView:
         self._seen[key] = sample
         return sample
 
-    def _numbers(self, sample: Sample) -> Numbers | None:
-        contract = self._contracts[sample.key]
-        if (kind := contract.vector_codec) is None:
-            return None
-        try:
-            values = codec.parse_vector(kind, sample.value)
-        except codec.BadValue:
-            return None
-        if len(values) != len(contract.elements):
-            return None
-        return Numbers(np.array([sample.arrived_ns or 0]), values[None], contract)
-
     def _find(self, key: str) -> Numbers | None:
-        sample = self._seen.get(key) if key in self._contracts else None
-        return None if sample is None else self._numbers(sample)
+        return poses.newest(self._seen.get(key), self._contracts[key]) if key in self._contracts else None
 
     def _pose(self) -> None:
         states = poses.state_keys(self.robot, self._contracts.values(), self._description)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station import rotations
-from station.bus import contracts, keys
+from station.bus import codec, contracts, keys
 from station.bus.robot_streams import ROOT
+from station.bus.sample import Sample
 from station.contract import Contract, names_of
 from station.description import RobotDescription
 from station.protocols import Floats
@@ -47,6 +48,19 @@ class Numbers(NamedTuple):
 
 
 Find = Callable[[str], Numbers | None]
+
+
+def newest(sample: Sample | None, contract: Contract) -> Numbers | None:
+    """Return the numbers of a key's newest value as one instant; None for none, or where they are not as described."""
+    if sample is None or (kind := contract.vector_codec) is None:
+        return None
+    try:
+        values = codec.parse_vector(kind, sample.value)
+    except codec.BadValue:
+        return None
+    if len(values) != len(contract.elements):
+        return None
+    return Numbers(np.array([sample.arrived_ns or 0]), values[None], contract)
 
 
 def state_keys(robot: str, recorded: Iterable[Contract | None], description: RobotDescription | None) -> list[str]:

@@ -19,6 +19,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import rerun as rr
 from rich.console import Console, RenderableType
@@ -107,6 +108,8 @@ from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.clouds import log_cloud
 from station.view.progress import ProgressReader
+from station.web import asks, look, pages
+from station.web.drawn_robot import DrawnRobot
 from tests.adapters.motions.made import smooth
 from tests.episode.filming import cloud
 from tests.fuzz.shelf import Shelf
@@ -417,6 +420,31 @@ def _look_on(data: bytes) -> None:
     monitor._stop()
 
 
+DRAWN = DrawnRobot(ROBOT, contracts.Contracts([CONFIG]), [])
+
+
+def _console(key: str, data: bytes) -> None:
+    """What a console makes of a value of a key, and of the same bytes as what a server states and says of itself."""
+    shelf: Any = Shelf({key: data})
+    shelf.last_error = data.decode(errors="replace")
+    looking = look.Look.__new__(look.Look)
+    looking.bus, looking.clock, looking._watch, looking._answered_s = shelf, SYSTEM, shelf, 0.0
+    looking._contracts = contracts.Contracts()
+    looking._robots = {ROBOT: ("g1", data, DRAWN)}
+    looking._health = [found] if (found := decode_health(data)) is not None else []
+    looking._counts, looking._names, looking._alarms, looking._ahead_ns = {}, [key], {}, {}
+    msgspec.json.encode(looking.state())
+    looking.urgent()
+    looking.keys_table()
+    frame = DRAWN.frame(shelf.latest, 1.0)
+    if frame is not None:
+        frame.packed(2.0)
+
+
+def _said_by_a_page(data: bytes) -> None:
+    msgspec.convert(pages._object(data.decode(errors="replace")), asks.Ask)
+
+
 # ---- the recorder ----
 
 
@@ -688,6 +716,8 @@ def _told() -> list[Parser]:
                (codec.f64(np.ones(65)),), (_EPISODE + "reading.steps",)),
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
                ("station.view.phases", "station.view.live")),
+        Parser("what a page says", _said_by_a_page, (b'{"id": "1", "what": "record.stop", "success": true}',),
+               ("station.web.pages",), (msgspec.ValidationError,)),
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
         Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_robot",)),
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
@@ -696,6 +726,16 @@ def _told() -> list[Parser]:
         Parser("measured", _measured, (codec.f64(np.ones(65)),), ("station.supervision.measure",), (NotReady,)),
         Parser("progress, an arm's", _arm_progress, (health(), b'{"a": 1}'), ("station.view.progress",)),
     ]  # fmt: skip
+
+
+def _for_pages() -> list[Parser]:
+    values = {
+        keys.command_gate(ROBOT): dumped(GATE), keys.robot_state(ROBOT): codec.f64(np.ones(65)),
+        keys.command_used(ROBOT): codec.f64(np.ones(35)), keys.RECORDER: dumped(RECORDER), keys.ESTOP: b"1",
+        keys.RUNBOOK: dumped(RUNBOOK), keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG),
+    }  # fmt: skip
+    of = ("station.web.look", "station.web.drawn_robot", "station.view.poses")
+    return [Parser(f"console {key}", partial(_console, key), (value,), of) for key, value in values.items()]
 
 
 def _by_key() -> list[Parser]:
@@ -909,6 +949,7 @@ PARSERS = [
     *_stops_and_requests(),
     *_told(),
     *_by_key(),
+    *_for_pages(),
     *_natnet(),
     *_lidars(),
     *_lcm(),

@@ -35,6 +35,7 @@ READS_FILES = {
     "station.export.shards": "its own record of a shard",
     "station.episode.replaying.resimulate": "runs a robot; what it reads passes timing_row and parse_facts",
     "station.rehearse": "a configuration from the process that started it",
+    "station.web.keyring": "its own secrets",
     "station.suite.trial": "a configuration from the process that started it",
     "adapters.devices.fakes.pico.script": "the script of a fake",
     "adapters.devices.fakes.script": "the script of a fake",

@@ -1,0 +1,92 @@
+"""``station console``: a running station in a browser."""
+
+from __future__ import annotations
+
+import io
+import threading
+from typing import Any
+
+import click
+import msgspec
+
+from station import config, libraries, python_child, registry
+from station.cli import log_lines
+from station.cli.options import address_of, bus_option, data_option, set_option
+from station.episode.storage.folder import data_folder
+
+
+@click.command("console")
+@click.option("--host", default=None, metavar="ADDRESS",
+              help="Serve other machines too, on this address of ours, with TLS.  [default: this machine]")  # fmt: skip
+@click.option("--port", default=None, type=click.IntRange(0, 65535), help="Port; 0 for any free one.  [default: 8770]")
+@click.option("--name", default="", help="Name on the bus, when two consoles run.  [default: console]")
+@click.option("--new-links", is_flag=True, help="Make all earlier links and sign-ins void first.")
+@set_option("key=value")
+@data_option
+@bus_option
+def command(
+    host: str | None, port: int | None, name: str, new_links: bool, sets: tuple[str, ...], data: Any, bus: str | None
+) -> None:
+    """Show the station that runs, or the next one, in a browser: robot, cameras, curves, episodes, and a stop.
+
+    The page is no safety-rated stop: the robot's own stays within reach.
+    """
+    libraries.expect("the console", "starlette", "console")
+    kind = registry.find("server", "console")
+    given = {"host": host, "port": port, "data": None if data is None else str(data)}
+    values = config.merged(
+        {name: value for name, value in given.items() if value is not None},
+        config.overrides(sets, servers=None).get("", {}),
+    )
+    built = config.build(kind.config, values, where="console (`station settings console` lists them)")
+    python_child.write_stacks_when_asked()
+    with log_lines.never_waited_for():
+        raise SystemExit(_serve(kind, built, bus, name or kind.name, is_new=new_links))
+
+
+def _serve(kind: Any, built: Any, bus: str | None, name: str, *, is_new: bool) -> int:
+    from station.bus.address import is_loopback
+    from station.life.server import Life
+    from station.life.serving import serve
+    from station.stop_signals import set_on_signals
+    from station.web.console import Console
+    from station.web.keyring import Keyring
+
+    if is_new:
+        Keyring().renew()
+    address, stop = address_of(bus), threading.Event()
+    end = set_on_signals(stop, second_interrupts=True)
+    with Console(
+        address, data_folder(built.data), host=built.host, port=built.port, names=built.names,
+        certificate=None if built.certificate is None else (built.certificate, built.key),
+        is_open=not is_loopback(built.host), name=name, is_judging=built.check,
+    ) as console:  # fmt: skip
+        _show(console, is_open=not is_loopback(built.host))
+        if not console.wait_for_bus(stop):
+            return 0
+
+        def main(config: Any, life: Life) -> int:
+            life.configured({"server": name, "role": kind.role, "url": console.url})
+            if not stop.is_set() and life.ready():  # Ctrl-C before the server hears it itself
+                console.run(life.stop_event, config.rate_hz, life.report)
+            return 0
+
+        try:
+            return serve(msgspec.structs.replace(kind, main=main), built, address=address, name=name)
+        finally:
+            end()
+
+
+def _show(console: Any, *, is_open: bool) -> None:
+    click.echo(f"operator: {console.link('operator')}")
+    click.echo(f"viewer:   {console.link('viewer')}   (looks on; may stop)")
+    if console.authority is not None:
+        click.echo(f"A phone trusts the page once it has the authority: {console.authority}")
+    if is_open:
+        import segno
+
+        drawn = io.StringIO()
+        segno.make(console.link("viewer")).terminal(out=drawn, compact=True)
+        click.echo("the viewer's link for a phone:")
+        click.echo(drawn.getvalue())
+    click.echo("Whoever has a link may use it; the page is no safety-rated stop. Ctrl-C ends the console.")

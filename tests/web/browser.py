@@ -1,0 +1,115 @@
+"""A real browser that opens pages of a console: Debian's headless Chromium, driven by Playwright."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.waiting import wait_until
+
+PROGRAMS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+NO_BROWSER = "needs a browser: apt-get install chromium-headless-shell"
+DESKTOP, TABLET, PHONE, SMALL = (1440, 900), (820, 1180), (390, 844), (320, 568)
+
+
+def expect_browser() -> str:
+    """Return the program of a browser; a machine without one skips, CI fails."""
+    found = next((path for name in PROGRAMS if (path := shutil.which(name))), None)
+    if found is None:
+        if os.environ.get("CI"):
+            pytest.fail(NO_BROWSER)
+        pytest.skip(NO_BROWSER)
+    return found
+
+
+@contextlib.contextmanager
+def opened() -> Iterator[Any]:
+    """Give a browser."""
+    program = expect_browser()
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra 'test'")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Page:
+    """A page of a console in a browser, with what went wrong in it.
+
+    Args:
+        browser: Of `opened`.
+        link: What it opens.
+        size: Of the window [px].
+        more: Of the browser's context.
+    """
+
+    def __init__(self, browser: Any, link: str, size: tuple[int, int] = DESKTOP, **more: Any) -> None:
+        self.context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **more)
+        self.tab = self.context.new_page()
+        self.trouble: list[str] = []
+        self.asked: list[str] = []
+        self.tab.on("pageerror", lambda error: self.trouble.append(str(error)))
+        self.tab.on("dialog", lambda dialog: self.trouble.append(f"dialog: {dialog.message}"))
+        self.tab.on("console", self._on_console)
+        self.context.on("request", lambda request: self.asked.append(request.url))
+        self.tab.goto(link)
+
+    def _on_console(self, message: Any) -> None:
+        if message.type == "error" and "Content Security Policy" in message.text:
+            self.trouble.append(message.text)
+
+    def read(self, expression: str) -> Any:
+        """Return the value of a JavaScript expression."""
+        return self.tab.evaluate(f"() => ({expression})")
+
+    def until(self, expression: str, timeout_s: float = 30.0) -> Any:
+        """Return the value of an expression as soon as it is true."""
+        found: list[Any] = [None]
+
+        def holds() -> bool:
+            found[0] = self.read(expression)
+            return bool(found[0])
+
+        try:
+            wait_until(holds, timeout_s)
+        except AssertionError:
+            state = self.read("({stop: window.stationPage?.stop, link: window.stationPage?.link})")
+            raise AssertionError(f"never so: {expression}; {state}; {self.trouble}") from None
+        return found[0]
+
+    def ready(self) -> Page:
+        """Wait until it has been told of a station."""
+        self.until("window.stationPage && stationPage.state && stationPage.state.bus.linked && stationPage.is_known")
+        return self
+
+    @property
+    def stop_kind(self) -> str:
+        """What the stop's bar says, as its kind."""
+        return str(self.read("stationPage.stop.kind"))
+
+    def press_stop(self) -> None:
+        """Put a finger, or the mouse, on the stop."""
+        box = self.tab.locator("#stop").bounding_box()
+        self.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        self.tab.mouse.down()
+        self.tab.mouse.up()
+
+    def hold(self, selector: str, seconds: float) -> None:
+        """Hold a button down for so long."""
+        self.tab.locator(selector).scroll_into_view_if_needed()
+        box = self.tab.locator(selector).bounding_box()
+        self.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        self.tab.mouse.down()
+        self.tab.wait_for_timeout(seconds * 1e3)
+        self.tab.mouse.up()
+
+    def close(self) -> None:
+        """Close it."""
+        self.context.close()
