@@ -225,8 +225,14 @@ class Connection:
         self._socket.close()
 
     def _next(self) -> Any:
-        while (reply := self._reader.gets()) is False:
-            self._feed()
+        try:
+            while (reply := self._reader.gets()) is False:
+                self._feed()
+        except hiredis.ProtocolError as error:
+            self.close()
+            raise ConnectionLost(
+                f"bus {self.address}: what answers there is no Redis server ({error}); --bus URL names another"
+            ) from None
         return reply
 
     def _feed(self) -> None:

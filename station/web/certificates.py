@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from station.atomic_file import write_atomic
+from station.bus.address import is_loopback
 from station.life import stop_file
 from station.web.links import EVERY
 
@@ -62,14 +63,14 @@ def names_of(host: str, more: Sequence[str] = ()) -> list[str]:
 
 
 def _addresses() -> list[str]:
-    """Return the addresses of this machine that its name, or its way out, says."""
+    """Return the addresses of this machine for others, as far as its name, or its way out, says."""
     found: list[str] = []
     with contextlib.suppress(OSError):  # a machine whose name nothing resolves
         found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None)]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # sends nothing: the kernel chooses the card that leads out
         found.append(str(probe.getsockname()[0]))
-    return [name for name in dict.fromkeys(found) if "%" not in name]
+    return [name for name in dict.fromkeys(found) if "%" not in name and not is_loopback(name)]
 
 
 def _is_good(files: ServerCertificate, names: Sequence[str]) -> bool:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import ssl
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,11 +35,13 @@ class WebServer:
         loop: The event loop of the pages, once they are served.
 
     Raises:
-        StationError: the address or the port cannot be had.
+        StationError: the address or the port cannot be had, or the certificate cannot be used.
     """
 
     def __init__(self, host: str, port: int, certificate: tuple[Path, Path] | None = None) -> None:
-        self._host, self._certificate = host, certificate
+        self._certificate = certificate
+        if certificate is not None:
+            _expect_certificate(*certificate)
         self._socket = _listen(host, port)
         self.port = int(self._socket.getsockname()[1])
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -80,6 +83,16 @@ class WebServer:
             self._server.should_exit = True
             self._thread.join(_CLOSED_WITHIN_S)
         self._socket.close()
+
+
+def _expect_certificate(file: Path, key_file: Path) -> None:
+    for path in (file, key_file):
+        if not path.is_file():
+            raise StationError(f"{path}: no such file; expected a certificate, and its key, as PEM")
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(file, key_file)
+    except (ssl.SSLError, OSError) as error:
+        raise StationError(f"{file} and {key_file}: no certificate with its key, as PEM: {error}") from None
 
 
 def _listen(host: str, port: int) -> socket.socket:
