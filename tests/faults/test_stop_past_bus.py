@@ -83,7 +83,8 @@ def running_lab(home: Home) -> Iterator[Lab]:
     server = RedisServer.start(options)
     made = None
     try:
-        with home.running("up", str(book), "--yes") as station:
+        # Somebody attends it: it stays up when the motion ends with the stop.
+        with home.running("up", str(book), "--ask", "console") as station:
             station.wait_for("to=tracking")
             made = Lab(home, station, options, server)
             yield made

@@ -240,7 +240,7 @@ def test_acl_command_prints_hashes_and_leaves_the_passwords_in_a_closed_file(tmp
     done = _acl("--passwords", str(file))
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     passwords = [line.split()[1] for line in file.read_text().splitlines()]
-    assert len(passwords) == 7
+    assert len(passwords) == 8
     assert not [word for word in passwords if word in done.stdout + done.stderr]
     assert done.stdout.startswith("user default reset off\n")
     assert "exists, and may hold passwords in use" in _acl("--passwords", str(file), code=2).stderr

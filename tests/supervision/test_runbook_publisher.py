@@ -161,6 +161,8 @@ def test_the_first_answer_counts_and_later_old_and_unknown_ones_are_refused_with
             with pytest.raises(Refused, match=rf"question '{first.id}': answered: yes, by {me} \(terminal\); open now"):
                 lab.answer(first.id, "no")
         with asked(publisher, lab) as (second, typed, given):
+            with pytest.raises(Refused, match=rf"question '{first.id}': answered: .*; open now: {second.id}"):
+                lab.answer(first.id, "yes")
             lab.answer(second.id, "no", who="anna", where="console")
             typed.set()  # a moment too late
             wait_until(lambda: given)
