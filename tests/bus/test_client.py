@@ -16,6 +16,7 @@ from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import Write, open_tap
 from station.errors import BusError
+from tests.bus.answering import answering
 from tests.faults.bus_station import pid_of
 from tests.waiting import DEADLINE_S, wait_until
 
@@ -213,3 +214,11 @@ def test_stamps_survive_the_wire_and_foreign_text_is_none() -> None:
     assert mark.writer == "a-b-c"
     for text in (b"", b"1 2 3", b"1 2 x y", b"a b c d", b"1 2 3 \xff", b"1 2 3 s 4 5"):
         assert stamp.decode(text) is None
+
+
+def test_what_answers_there_is_no_redis(tmp_path: Path) -> None:
+    with (
+        answering(tmp_path / "web.sock", {b"SELECT": b"HTTP/1.1 400 Bad Request\r\n\r\n"}) as address,
+        pytest.raises(BusError, match="no Redis server"),
+    ):
+        Bus(address, name="test")

@@ -92,7 +92,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["up", COMMANDS_ONLY, "--set", "motion.motion=no/walk.pkl"], "(motion): no/walk.pkl: no such file"),
         (["up", COMMANDS_ONLY, "--set", "motion.motion=README.md"], "README.md: no reader for '.md'; known: .csv"),
         (["demo", "--set", "motion.motion=builtin:wak"], "(motion): unknown built-in motion 'wak'"),
-        (["serve", "motin"], "unknown server 'motin' (did you mean 'motion'?); known: camera, cues, foxglove, g1,"),
+        (["serve", "motin"], "unknown server 'motin' (did you mean 'motion'?); known: camera, console, cues,"),
         (["serve", "motion"], "server motion (`station settings motion` lists them): missing key motion"),
         (["serve", "lcm"], "lists them): missing key mode: expected our-cockpit or their-cockpit"),
         (["serve", "recorder", "--set", "data=[1]"], "lists them): data: expected a path, got [1]"),

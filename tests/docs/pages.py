@@ -143,6 +143,11 @@ PAGES = {
         "station serve lidar": Typed(until="active on"),
         "python -m adapters.lidars.dds_room": Typed(elsewhere="tests/servers/test_proof_lidar.py"),
     }, has_upstream_data=False),
+    "docs/console.md": Page({
+        "pip install": _INSTALLS,
+        "station console": Typed(elsewhere="tests/web/test_console.py, beside a bus"),
+        "station up": Typed(elsewhere="tests/web/test_page.py, seen by a browser"),
+    }, has_upstream_data=False),
     "docs/foxglove.md": Page({
         "pip install": _INSTALLS,
         "station serve foxglove": Typed(elsewhere="tests/servers/test_foxglove.py, beside a bus"),

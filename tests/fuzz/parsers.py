@@ -33,6 +33,7 @@ from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
 from adapters.exports.ros2 import messages as ros_messages_of_bags
 from adapters.exports.ros2 import ros_types
+from adapters.lcm import homie
 from adapters.lcm import packet as lcm_packet
 from adapters.lcm import types as lcm_types
 from adapters.lcm.message import BadMessage
@@ -48,6 +49,7 @@ from adapters.ros2 import told as ros2_told
 from adapters.sonic import message as sonic_message
 from adapters.sonic import planner as sonic_planner
 from adapters.sonic import pose as sonic_pose
+from servers import lcm as lcm_server
 from servers.ros2 import Frame, Intake
 from station import depth, point_cloud
 from station.api.live import Record, Station
@@ -852,6 +854,15 @@ def _lidars() -> list[Parser]:
     ]
 
 
+def _told_to_their_policy(data: bytes) -> None:
+    shelf: Any = Shelf({keys.robot_state(ROBOT): data, keys.command_gate(ROBOT): data})
+    robot = lcm_server.OurRobot.__new__(lcm_server.OurRobot)
+    robot._watch, robot._state_key, robot._gate_key = shelf, keys.robot_state(ROBOT), keys.command_gate(ROBOT)
+    if (state := robot._state()) is not None:
+        homie.robot_messages(state, is_pressed=robot._is_armed())
+    robot._is_armed()
+
+
 def _lcm() -> list[Parser]:
     """Datagrams of LCM, which anybody in a network may send."""
 
@@ -863,7 +874,11 @@ def _lcm() -> list[Parser]:
     message = lcm_types.COMMAND.encode({"command": (0.5, 0.0, 0.1, 0.74)})
     valid = (lcm_packet.datagrams(1, "pedal_command", message)[0], *lcm_packet.datagrams(2, "long", bytes(150_000))[:2])
     modules = ("adapters.lcm.packet", "adapters.lcm.message")
-    return [Parser("LCM's datagram", came, valid, modules, (lcm_packet.BadPacket, BadMessage))]
+    return [
+        Parser("LCM's datagram", came, valid, modules, (lcm_packet.BadPacket, BadMessage)),
+        Parser("what a policy over LCM is told", _told_to_their_policy, (codec.f64(np.ones(65)), dumped(GATE)),
+               ("servers.lcm",)),
+    ]  # fmt: skip
 
 
 def _zeromq() -> list[Parser]:

@@ -113,9 +113,8 @@ def test_a_station_that_is_frozen_holds_up_no_other_and_nobody_for_long(folder: 
         (frozen,) = sockets(folder)
         frozen.rename(frozen.with_name(frozen.name.replace(str(os.getpid()), "1")))
         stack.enter_context(station(StopReply(told=("kassow",))))
-        began_s = time.monotonic()
         assert said() == StopReply(told=("kassow",))
-        assert time.monotonic() - began_s < 10 * stop_line.WITHIN_S, "it is given up after a tenth of a second"
+        assert not goes_on.is_set()
 
 
 @pytest.mark.parametrize("line", [b"", b"stopp", b"STOP now", b"go", b"\xff\x00", b"[" * 900])
