@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import math
 import time
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -42,7 +43,7 @@ class Shelf:
         assert arguments[0] == "MGET"
         return [self.values.get(key) for key in arguments[1:]]
 
-    def latest(self, key: str) -> Sample | None:
+    def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
         """Return a value as one that has just come."""
         value = self.values.get(key)
         return None if value is None else Sample(key, value, None, self._now_ns)
