@@ -69,6 +69,7 @@ PRESS_AFTER_S, PRESS_EVERY_S, PRESS_S = 1.0, 2.0, 0.2
 
 _LOOK_S = 0.02
 _STATE_SIZE = 65
+_LARGEST = float(np.finfo(np.float32).max)  # what their messages hold
 _GATE_S = 0.5  # a living robot says the state of its gate fifty times a second
 
 _NAME = re.compile(r"[a-z0-9_]+")
@@ -360,7 +361,8 @@ class OurRobot:
             state = codec.parse_f64(sample.value)
         except codec.BadValue:
             return None
-        return state if state.shape == (_STATE_SIZE,) and np.isfinite(state).all() else None
+        fits = state.shape == (_STATE_SIZE,) and bool((np.abs(state) < _LARGEST).all())
+        return state if fits else None
 
     def _is_pressed(self, now_s: float) -> bool:
         """Return whether R2 is down; tell each time that it is pressed."""
