@@ -241,13 +241,18 @@ def bulk_of(bus: BusAddress) -> BusAddress | None:
     """Return the bulk bus of a bus; None where depth and clouds go over that itself.
 
     Of the default bus it is ``$STATION_BULK``, else ``bulk`` of the user's file; else, of any bus, the socket that a
-    server of ours has beside that of the bus. User and password are those of the bus.
+    server of ours has beside that of the bus. User and password are those of the bus. A file that cannot be read is in
+    the way of the default bus alone: an emergency stop on another one does not wait until it is mended.
 
     Raises:
         ConfigError: what names it is no address.
     """
-    url = os.environ.get(BULK_VARIABLE) or user_config().bulk
-    if url and str(bus) == str(default()):
+    try:
+        url = os.environ.get(BULK_VARIABLE) or user_config().bulk
+        is_default = bool(url) and str(bus) == str(default())
+    except ConfigError:
+        url, is_default = None, False
+    if url and is_default:
         found = None if url == NO_BULK else parse(url)
     elif bus.socket is not None and (socket := bulk_beside(bus.socket)).exists():
         found = msgspec.structs.replace(bus, socket=str(socket))

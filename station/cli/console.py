@@ -47,14 +47,14 @@ def command(
 def _serve(kind: Any, built: Any, bus: str | None, name: str, *, is_new: bool) -> int:
     from station.bus.address import is_loopback
     from station.life.server import Life
-    from station.life.serving import serve
+    from station.life.serving import for_role, serve
     from station.stop_signals import set_on_signals
     from station.web.console import Console
     from station.web.keyring import Keyring
 
     if is_new:
         Keyring().renew()
-    address, stop = address_of(bus), threading.Event()
+    address, stop = for_role(address_of(bus), kind.role), threading.Event()
     end = set_on_signals(stop, second_interrupts=True)
     with Console(
         address, data_folder(built.data), host=built.host, port=built.port, names=built.names,

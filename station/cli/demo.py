@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from station import libraries
 from station.cli.options import bus_option, data_option, set_option
 from station.errors import StationError
 
@@ -134,6 +135,10 @@ def _made(name: str, path: Path, make: Callable[[Path], object]) -> None:
 def _print_next_steps(data: Path | None) -> None:
     where = "" if data is None else f" --data {data}"
     tries = {f"station up g1-demo --yes --record --task mine{where}": "record a task of your own"}
+    if libraries.version("starlette") is not None:
+        tries[f"station up g1-demo --yes --console{where}"] = (
+            "watch, stop and record in a browser: http://127.0.0.1:8770"
+        )
     if shutil.which("station") is None:  # `make demo` runs it from an environment that this shell has not entered
         tries = {f". {os.path.relpath(Path(sys.executable).parent / 'activate')}": "put `station` on the path"} | tries
     width = max(len(text) for text in tries)

@@ -30,7 +30,7 @@ class EventFeed:
         self._found: deque[Event] = deque(maxlen=_MOST)
         self._known: deque[tuple[str, int, str]] = deque(maxlen=_MOST)
         self._lock = threading.Lock()
-        self._poll()
+        self.look()
         self._found.clear()  # from before our time
         self._watch = bus.watch([keys.EVENT])
         self._closed = threading.Event()
@@ -73,9 +73,10 @@ class EventFeed:
                     self.add(event)
             if self._clock.monotonic_s() - looked_s >= _LOOK_S:
                 looked_s = self._clock.monotonic_s()
-                self._poll()
+                self.look()
 
-    def _poll(self) -> None:
+    def look(self) -> None:
+        """Look at the heartbeats now, which tell what was overwritten on the key."""
         try:
             found = read_health(self._bus)
         except BusError:  # the owner of a feed watches the bus as well, and tells of its loss

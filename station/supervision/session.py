@@ -20,7 +20,7 @@ from station.life import arm_request
 from station.life.event_feed import EventFeed
 from station.life.events import Event
 from station.life.restarts import Restarts
-from station.life.server import Health, read_health
+from station.life.server import HEARTBEAT_S, Health, read_health
 from station.software import software
 from station.supervision.checks import DiskCheck
 from station.supervision.disk_need import disk_need
@@ -42,6 +42,7 @@ from station.supervision.supervisor import NAME, Supervisor, how_it_ended
 
 _LOOK_S = 0.1
 _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one no server can be supervised
+_TOLD_S = HEARTBEAT_S + 0.1  # what robots say of a stop may be overwritten by servers that it ends, till the next beat
 _RECORDER = "recorder"
 _UNATTENDED = "--yes"
 _YES_NO = ("yes", "no")
@@ -136,6 +137,9 @@ class Session:
                 except StationError as error:
                     is_asked = stop.is_set()
                     reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
+                if code == 1 and memory.latched() is not None:
+                    self._clock.sleep(_TOLD_S)
+                    feed.look()
                 self._print_events(feed)
                 self._ui.report(reason, "error" if code == 1 else "info")
                 code = self._stop_servers(code)

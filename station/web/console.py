@@ -167,6 +167,8 @@ class Console:
                     self._call(self.feeds.put, frames)
                 now_s = self._clock.monotonic_s()
                 for event in look.new_events():
+                    if event.name.startswith("record-"):
+                        self.takes.wake()
                     self._post(_event(event, self._clock.wall_ns()))
                 if (now := look.urgent()) != was or now_s >= next_state_s:
                     was, next_state_s, self._state = now, now_s + _STATE_S, look.state()
@@ -199,7 +201,7 @@ class Console:
         with self._lock:
             if self._station is None:
                 try:
-                    self._station = Station(str(self.address), name=self.name)
+                    self._station = Station(self.address.url, name=self.name)
                 except BusError as error:
                     raise NotReady(f"nothing can be asked for now: {error}") from None
             return self._station

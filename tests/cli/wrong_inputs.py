@@ -23,7 +23,8 @@ BARE = {"COLUMNS": "60", "PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "DISPLAY"
 """Variables of a narrow terminal that is not UTF-8, on a machine without a display."""
 
 RUNS_ON = frozenset([
-    "demo", "up", "serve", "bus start", "rehearse", "view", "status", "logs", "devices fake", "devices voices",
+    "demo", "up", "serve", "console", "bus start", "rehearse", "view", "status", "logs", "devices fake",
+    "devices voices",
     "kassow controller", "devices calibrate gello", "devices calibrate glove", "devices calibrate natnet",
     "devices calibrate pico",
 ])  # fmt: skip

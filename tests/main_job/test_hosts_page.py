@@ -51,6 +51,8 @@ def test_the_commands_of_the_page_set_up_a_robot_its_operator_and_a_recorder(
             elif words[1] == "doctor":
                 wait_until(lambda: _knows_all_clocks(home.run("doctor").stdout))
             else:
+                if words[1] == "estop":
+                    running["up"].wait_for("to=tracking")  # it may come while the robot is still entering
                 done = home.run(*words[1:])
                 assert done.returncode == 0, done.stderr
 
@@ -70,7 +72,7 @@ def test_the_commands_of_the_page_set_up_a_robot_its_operator_and_a_recorder(
                 run(home, words)
         code, out = running["up"].finish()  # the last command is the emergency stop
         assert (code, out.strip()) == (1, f"store:{store.episode('carry')}"), running["up"].text
-        assert "gate from=tracking to=stopped" in running["up"].text
+        assert "gate from=tracking to=stopped" in running["up"].text, running["up"].text
 
 
 def _knows_all_clocks(said: str) -> bool:

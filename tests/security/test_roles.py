@@ -27,6 +27,7 @@ from station.life.stop_button import StopButton
 from tests.security.conftest import As
 from tests.servers.g1_station import PATIENT
 from tests.waiting import DEADLINE_S, wait_until
+from tests.web.console_process import ConsoleProcess
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -259,3 +260,22 @@ def test_status_and_doctor_work_for_a_viewer(as_role: As, password_file: Path) -
         assert done.returncode == code, done.stderr
         assert "NOPERM" not in done.stdout + done.stderr
     assert "bus access" in done.stdout
+
+
+def test_a_console_of_its_own_role_stops_releases_and_asks(as_role: As, tmp_path: Path) -> None:
+    pytest.importorskip("starlette", reason="needs the extra 'console'")
+    console = ConsoleProcess(as_role("console"), tmp_path)
+    page = console.page()
+    try:
+        page.state(lambda state: state["bus"]["linked"])
+        page.say(t="stop", id="one", key=console.stop_key())
+        assert page.until(lambda said: said["t"] == "stop")["said"] == "taken"
+        with Bus(as_role("operator"), name="look", timeout_s=5.0) as bus:
+            assert estop.latched(bus.read(estop.KEYS).get) is not None
+            assert page.ask("release")["ok"]
+            assert estop.latched(bus.read(estop.KEYS).get) is None
+        assert "recorder" in page.ask("record.start", task="x")["text"]
+        assert "NOPERM" not in console.words()
+    finally:
+        page.close()
+        console.kill()

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -77,6 +78,8 @@ class ConsoleProcess:
                 return int(answer.status), answer.read()
         except urllib.error.HTTPError as error:
             return error.code, error.read()
+        except urllib.error.URLError:  # refused before all of it was sent
+            return 0, b""
 
     def stop_key(self) -> str:
         """The key of the stop, as a page gets it."""
@@ -107,12 +110,16 @@ class ConsoleProcess:
 class PageSocket:
     """A socket of a page: what it is told, by kind."""
 
-    def __init__(self, console: ConsoleProcess, path: str, cookie: str, origin: str | None = None) -> None:
-        where = console.origin.replace("http", "ws", 1) + path
+    def __init__(
+        self, console: ConsoleProcess, path: str, cookie: str, origin: str | None = None, port: int = 0
+    ) -> None:
         self._origin = origin or console.origin
+        where = f"ws://127.0.0.1:{console.port}{path}"
+        line = socket.create_connection(("127.0.0.1", port)) if port else None
         self._open = contextlib.ExitStack()
         self.socket: ClientConnection = self._open.enter_context(connect(
-            where, origin=self._origin, additional_headers={"Cookie": cookie}, max_size=None, compression=None
+            where, origin=self._origin, additional_headers={"Cookie": cookie}, max_size=None, compression=None,
+            sock=line,
         ))  # fmt: skip
         self.told: list[dict[str, Any]] = []
 

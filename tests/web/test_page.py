@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -25,11 +24,11 @@ from tests.web import browser as browsers
 from tests.web.browser import DESKTOP, PHONE, SMALL, TABLET, Page
 from tests.web.conftest import StartConsole
 from tests.web.console_process import ConsoleProcess
+from tests.web.random_faults import Faults
+from tests.web.standing import GATE, ROBOT, Standing
 
 pytest.importorskip("starlette", reason="needs the extra 'console'")
 
-ROBOT = twist_keys.TWIST2_ROBOT
-GATE = keys.command_gate(ROBOT)
 HOSTILE = '<img src=x onerror="window.hit=1"><script>window.hit=1</script>'
 PAGE = Path(__file__).parents[2] / "station/web/page"
 AXE = Path(__file__).with_name("vendor") / "axe.min.js"
@@ -42,55 +41,6 @@ def browser(processes: None) -> Iterator[Any]:
     """A browser."""
     with browsers.opened() as found:
         yield found
-
-
-class Standing:
-    """A simulated G1 that stands and waits, and a console on its bus."""
-
-    def __init__(self, folder: Path) -> None:
-        self.terminal = Terminal(folder)
-        self.folder = folder
-        self._bus_process = self.terminal.start("bus", "start")
-        self.address = BusAddress(socket=f"{self.terminal.environment['XDG_RUNTIME_DIR']}/station/bus.sock")
-        wait_until(lambda: bus_answers(self.address))
-        self._station = self.terminal.start("serve", "g1")
-        self.bus = Bus(self.address, name="test", timeout_s=5.0)
-        self.console = self.new_console()
-        self.wait_for_gate("waiting")
-
-    def new_console(self, *more: str, port: int = 0) -> ConsoleProcess:
-        """Start a console."""
-        with pytest.MonkeyPatch.context() as patch:
-            for name, value in self.terminal.environment.items():
-                patch.setenv(name, value)
-            return ConsoleProcess(self.address, self.folder, *more, port=port)
-
-    def gate(self) -> str:
-        """What the robot's gate says."""
-        return str(codec.parse_facts(self.bus.get(GATE)).get("state", ""))
-
-    def wait_for_gate(self, state: str) -> None:
-        """Wait until it says something."""
-
-        def says() -> bool:
-            assert self._station.poll() is None, self._station.communicate()[0]
-            return self.gate() == state
-
-        wait_until(says)
-
-    def wait_again(self) -> None:
-        """Release the stop where one is latched."""
-        if estop.latched(self.bus.read(estop.KEYS).get) is not None:
-            assert self.terminal.run("estop", "--reset").returncode == 0
-        self.wait_for_gate("waiting")
-
-    def close(self) -> None:
-        """End it all."""
-        self.console.kill()
-        self.bus.close()
-        for process in (self._station, self._bus_process):
-            process.send_signal(signal.SIGINT)
-            process.communicate(timeout=60)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +170,7 @@ def test_c10_hostile_words_run_nothing(start_console: StartConsole, bus: Bus, op
 def test_c13_the_stop_is_in_view_and_everybody_can_use_the_page(
     g1: Standing, open_page: Open, size: tuple[int, int], scheme: str
 ) -> None:
-    page = open_page(_operator(g1.console), size, color_scheme=scheme, bypass_csp=True).ready()
+    page = open_page(_operator(g1.console), size, color_scheme=scheme, bypass_csp=True, reduced_motion="reduce").ready()
     page.until("stationPage.state.robots.length")
     page.tab.mouse.wheel(0, 4000)
     box = page.tab.locator("#stop").bounding_box()
@@ -413,6 +363,19 @@ def test_c5_a_press_reaches_the_robot_past_a_dead_bus(tmp_path: Path, processes:
         for process in (station, bus_process):
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=60)
+
+
+def test_after_faults_in_any_order_the_page_says_what_is_true(g1: Standing, browser: Any) -> None:
+    g1.wait_again()
+    with contextlib.closing(Faults(g1, browser, seed=7)) as faults:
+        for _ in range(12):
+            faults.act()
+            faults.wait_for_right_words()
+        faults.heal()
+        faults.wait_for_right_words()
+        faults.page.until("stationPage.stop.is_taken || stationPage.stop.id === ''")
+        assert faults.presses
+        assert faults.page.trouble == []
 
 
 def wait_for_logs(folder: Path, name: str) -> list[Path]:

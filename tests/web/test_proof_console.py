@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
 import statistics
 import subprocess
 import sys
@@ -23,14 +24,17 @@ from tests.figures import Figures
 from tests.waiting import wait_until
 from tests.web import browser as browsers
 from tests.web.browser import Page
-from tests.web.console_process import ConsoleProcess
-from tests.web.test_page import GATE, ROBOT, Standing
+from tests.web.console_process import ConsoleProcess, PageSocket
+from tests.web.random_faults import Faults
+from tests.web.standing import GATE, ROBOT, Standing
 
 pytest.importorskip("starlette", reason="needs the extra 'console'")
 
 PRESSES, VIEWERS = 40, 10
 P50_MS, P99_MS, CPU_PERCENT = 25.0, 70.0, 20.0
 HANDLER_P95_MS = 20.0
+ORDERS, WRONG_S = 100, 1.0
+SLOW_BYTES_S, SLOW_AGE_MS, SLOW_ANSWER_MS = 3e6 / 8, 300.0, 150.0
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -65,11 +69,12 @@ asyncio.run(main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]), int(sys.argv
 @contextlib.contextmanager
 def cameras(address: BusAddress, names: tuple[str, ...]) -> Iterator[None]:
     """Write pictures of 42 kB, 30 times a second, for each camera."""
-    over, picture = threading.Event(), b"\xff\xd8" + os.urandom(42_000) + b"\xff\xd9"
+    over, noise = threading.Event(), os.urandom(42_000)
 
     def write() -> None:
         with Bus(address, name="camera", timeout_s=5.0) as bus:
             while not over.wait(1 / 30):
+                picture = b"\xff\xd8" + b"%020.6f" % (time.time() * 1e3) + noise  # a JPEG to nobody, with its time
                 bus.publish({keys.camera_image(name): picture for name in names})
 
     thread = threading.Thread(target=write)
@@ -135,6 +140,94 @@ def press(g1: Standing, page: Page) -> tuple[float, float]:
 NOTE_PRESS = (
     "addEventListener('pointerdown', (event) => { window.pressedMs = performance.timeOrigin + event.timeStamp; }, true)"
 )
+
+
+def test_the_page_says_nothing_wrong_for_long_whatever_fails(proof: Figures, processes: None, tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        g1 = stack.enter_context(contextlib.closing(Standing(tmp_path / "w")))
+        browser: Any = stack.enter_context(browsers.opened())
+        faults = stack.enter_context(contextlib.closing(Faults(g1, browser, seed=1)))
+        wrong_s = []
+        for _ in range(ORDERS):
+            faults.act()
+            wrong_s.append(faults.wait_for_right_words())
+        faults.heal()
+        wrong_s.append(faults.wait_for_right_words())
+        faults.page.until("stationPage.stop.is_taken || stationPage.stop.id === ''")
+        assert faults.page.trouble == []
+        assert faults.presses > ORDERS / 20
+    proof.figure("the page says something wrong after a fault, at most", max(wrong_s), "s", f"{WRONG_S:g} s")
+    assert max(wrong_s) <= WRONG_S
+
+
+def test_on_a_slow_line_pictures_are_new_and_a_stop_is_answered(
+    proof: Figures, processes: None, tmp_path: Path
+) -> None:
+    with contextlib.ExitStack() as stack:
+        g1 = stack.enter_context(contextlib.closing(Standing(tmp_path / "w")))
+        stack.enter_context(cameras(g1.address, ("head",)))
+        line = stack.enter_context(slow_line(g1.console.port, SLOW_BYTES_S))
+        view, news = (stack.enter_context(contextlib.closing(open_slow(g1.console, line, path)))
+                      for path in ("/ws/view", "/ws/news"))  # fmt: skip
+        view.say(want=["camera:head"])
+        ages_ms, answers_ms = [], []
+        for number in range(60):
+            header, picture = view.frame()
+            ages_ms.append(time.time() * 1e3 - float(picture[2:22]))
+            view.say(got=header["f"])
+            if number % 6 == 0:
+                pressed_s = time.monotonic()
+                news.say(t="stop", id=f"slow-{number}", key=g1.console.stop_key())
+                news.until(lambda said: said["t"] == "stop")
+                answers_ms.append(1e3 * (time.monotonic() - pressed_s))
+    age_ms, answer_ms = (sorted(values)[int(0.95 * len(values))] for values in (ages_ms[5:], answers_ms))
+    proof.figure("a picture's age on a line of 3 Mbit/s, p95", age_ms, "ms", f"{SLOW_AGE_MS:g} ms")
+    proof.figure("a stop is answered on a line of 3 Mbit/s, p95", answer_ms, "ms", f"{SLOW_ANSWER_MS:g} ms")
+    assert age_ms <= SLOW_AGE_MS
+    assert answer_ms <= SLOW_ANSWER_MS
+
+
+@contextlib.contextmanager
+def slow_line(port: int, bytes_s: float) -> Iterator[int]:
+    """Give a port that leads to another one, so many bytes a second for all that it answers together."""
+    listener, over, lock = socket.create_server(("127.0.0.1", 0)), threading.Event(), threading.Lock()
+    free_s = [time.monotonic()]
+
+    def pump(source: socket.socket, sink: socket.socket, *, is_slow: bool) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(1460):
+                if is_slow:
+                    with lock:  # one after the other, as on the air
+                        free_s[0] = max(free_s[0], time.monotonic()) + len(data) / bytes_s
+                        time.sleep(max(0.0, free_s[0] - time.monotonic()))
+                sink.sendall(data)
+        for end in (source, sink):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def accept() -> None:
+        while not over.is_set():
+            try:
+                near, _ = listener.accept()
+            except OSError:
+                return
+            far = socket.create_connection(("127.0.0.1", port))
+            near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
+            far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+            for source, sink, is_slow in ((near, far, False), (far, near, True)):
+                threading.Thread(target=pump, args=(source, sink), kwargs={"is_slow": is_slow}, daemon=True).start()
+
+    threading.Thread(target=accept, daemon=True).start()
+    try:
+        yield int(listener.getsockname()[1])
+    finally:
+        over.set()
+        listener.close()
+
+
+def open_slow(console: ConsoleProcess, port: int, path: str) -> PageSocket:
+    """Open a socket of a page over another port, as the page of the console's own."""
+    return PageSocket(console, path, console.cookie(), port=port)
 
 
 def test_a_press_damps_the_robot_in_time(proof: Figures, processes: None, tmp_path: Path) -> None:

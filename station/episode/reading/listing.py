@@ -13,7 +13,7 @@ from station import config
 from station.episode.storage import layout
 from station.episode.storage.claim import is_claimed
 from station.episode.storage.file_hashes import changes, glance, words
-from station.episode.storage.folder import data_folder, find_episodes
+from station.episode.storage.folder import data_folder, find_episodes, folders_of_tasks, is_episode, started_ns
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.manifest_parts import RecordedFile
@@ -136,6 +136,49 @@ def list_episodes(
     live = active[-1] if active and is_claimed(base) else None
     rows = [_row(folder, is_live=folder == live) for folder in folders]
     return [row for row in rows if task in (None, row.task) and (wanted is None or wanted.fits(row))]
+
+
+class NewestEpisodes:
+    """The newest episodes of a data folder, for whoever looks again and again: only what has changed is read anew.
+
+    Args:
+        data: The folder; it need not be there.
+        most: Episodes of which there are rows.
+    """
+
+    def __init__(self, data: Path, most: int) -> None:
+        self._data, self._most = data, most
+        self._started_ns: dict[Path, int] = {}
+        self._rows: dict[Path, tuple[tuple[int, ...], EpisodeRow]] = {}
+
+    def look(self) -> list[EpisodeRow]:
+        """Return a row for each, oldest first.
+
+        Raises:
+            OSError: a folder goes away meanwhile, or cannot be read.
+        """
+        there = folders_of_tasks(self._data)
+        known = {folder: self._started_ns[folder] for folder in there if folder in self._started_ns}
+        self._started_ns = known | {
+            folder: started_ns(folder) for folder in there if folder not in known and is_episode(folder)
+        }
+        newest = sorted(self._started_ns, key=lambda folder: (self._started_ns[folder], folder.name))[-self._most :]
+        active = [folder for folder in newest if (folder / layout.ACTIVE).exists()]
+        live = active[-1] if active and is_claimed(self._data) else None
+        rows = {}
+        for folder in newest:
+            seen, known_row = _seen(folder, is_live=folder == live), self._rows.get(folder)
+            is_same = known_row is not None and known_row[0] == seen
+            rows[folder] = known_row if known_row and is_same else (seen, _row(folder, is_live=folder == live))
+        self._rows = rows
+        return [row for _, row in rows.values()]
+
+
+def _seen(folder: Path, *, is_live: bool) -> tuple[int, ...]:
+    """Return what changes where the row of an episode does: times of its folder and its manifest, and who has it."""
+    manifest = folder / layout.MANIFEST
+    at_ns = manifest.stat().st_mtime_ns if manifest.exists() else 0
+    return folder.stat().st_mtime_ns, at_ns, int(is_live)
 
 
 def _started(row: EpisodeRow) -> datetime:

@@ -78,8 +78,13 @@ def _is_taken(data: Path, episode_id: str) -> bool:
 def find_episodes(data: Path | None = None) -> list[Path]:
     """Return the folders of all episodes of a data folder, oldest first."""
     base = data_folder(data)
-    found = [folder for folder in base.glob("*/*/") if folder.parent.name[0] != "." and _is_episode(folder)]
+    found = [folder for folder in base.glob("*/*/") if folder.parent.name[0] != "." and is_episode(folder)]
     return sorted(found, key=lambda folder: (started_ns(folder), folder.name))
+
+
+def folders_of_tasks(data: Path) -> list[Path]:
+    """Return the folders in the folders of all tasks, episodes or not; opens no file."""
+    return [Path(entry.path) for task in tasks(data) for entry in _folders(data / task)]
 
 
 def newest_ids(data: Path | None, beginning: str, most: int) -> list[str]:
@@ -112,7 +117,7 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
     """
     path = Path(episode)
     is_there = os.path.exists(path)  # pathlib's raises for a name that is too long for any file
-    if is_there and (path.is_file() or (path.is_dir() and _is_episode(path))):
+    if is_there and (path.is_file() or (path.is_dir() and is_episode(path))):
         return path
     base, name = data_folder(data), str(episode)
     episodes = find_episodes(base)
@@ -149,7 +154,8 @@ def signals_file(episode: Path) -> Path:
     raise EpisodeError(f"{episode}: no signals in it: expected {layout.SIGNALS} or {layout.ACTIVE}")
 
 
-def _is_episode(folder: Path) -> bool:
+def is_episode(folder: Path) -> bool:
+    """Whether a folder holds an episode, or begins to."""
     return any((folder / name).is_file() for name in (layout.MANIFEST, layout.SIGNALS, layout.ACTIVE))
 
 

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
+from station.episode.reading import listing
 from station.episode.reading.listing import EpisodeFilter, list_episodes, since
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import show
@@ -114,3 +116,33 @@ def test_a_time_that_is_none_is_refused_in_a_line(text: str) -> None:
     with pytest.raises(ConfigError, match="--since: expected 2h, 3d, 2026-11-20") as caught:
         since(text)
     assert "\n" not in str(caught.value)
+
+
+def test_the_newest_are_looked_at_again_only_where_something_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(5):
+        folder = tmp_path / "walk" / f"a-000{number}"
+        folder.mkdir(parents=True)
+        (folder / "signals.mcap").write_bytes(b"12345")
+        os.utime(folder / "signals.mcap", ns=(number * 10**9, number * 10**9))
+        save_manifest(Manifest(episode_id=folder.name, state="finished"), folder)
+    read: list[str] = []
+    row = listing._row
+
+    def counted(folder: Path, *, is_live: bool) -> listing.EpisodeRow:
+        read.append(folder.name)
+        return row(folder, is_live=is_live)
+
+    monkeypatch.setattr(listing, "_row", counted)
+    newest = listing.NewestEpisodes(tmp_path, most=3)
+    assert [found.episode_id for found in newest.look()] == ["a-0002", "a-0003", "a-0004"]
+    assert newest.look() == list_episodes(tmp_path)[-3:]
+    read.clear()
+    newest.look()
+    assert read == []
+    changed = Manifest(episode_id="a-0003", state="finished", quality_flags=QualityFlags(discarded=True))
+    save_manifest(changed, tmp_path / "walk" / "a-0003")
+    assert [found.is_discarded for found in newest.look()] == [False, True, False]
+    assert read == ["a-0003"]
+    assert listing.NewestEpisodes(tmp_path / "nowhere", most=3).look() == []
