@@ -39,7 +39,7 @@ FROZEN_S = 0.5
 """Age from which on a picture is said to be frozen [s]."""
 
 _LOOK_S, _COUNT_S, _ASK_S = 0.5, 1.0, 0.2
-_LINKED_S = 0.7  # since the bus last answered
+_LINKED_S = 0.5  # since the bus last answered
 _LONGEST = 300  # characters of a text from the bus
 _GATES_TOLD = ("holding", "returning", "stopped")
 _MOST_STEPS = 200  # of a runbook
@@ -75,17 +75,17 @@ class Look:
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self._next_look_s = self._next_count_s = self._next_ask_s = 0.0
         self._answered_s = self.clock.monotonic_s()
+        self._is_there = True
         self._alarms: dict[str, float] = {}  # text of an alarm, and since when it stands
 
     def step(self, wanted: Collection[str]) -> dict[str, Frame]:
         """Read what is new; return the frames of those feeds that are wanted and have one."""
-        self._ask_bus()
-        now_s = self.clock.monotonic_s()
-        if now_s >= self._next_look_s:
+        is_there, now_s = self._ask_bus(), self.clock.monotonic_s()
+        if is_there and now_s >= self._next_look_s:
             self._next_look_s = now_s + _LOOK_S
             with contextlib.suppress(BusError):  # the state says so; what was known stays
                 self._look_around()
-        if now_s >= self._next_count_s:
+        if is_there and now_s >= self._next_count_s:
             self._next_count_s = now_s + _COUNT_S
             with contextlib.suppress(BusError):
                 self._count(now_s)
@@ -243,14 +243,20 @@ class Look:
     def _latest(self, key: str) -> Sample | None:
         return None if self._watch is None else self._watch.latest(key)
 
-    def _ask_bus(self) -> None:
-        """Ask whether the bus is there, a few times a second: its silence says nothing where nobody writes."""
-        if (now_s := self.clock.monotonic_s()) < self._next_ask_s:
-            return
-        self._next_ask_s = now_s + _ASK_S
-        with contextlib.suppress(BusError):
-            self.bus.call("PING")
-            self._answered_s = self.clock.monotonic_s()
+    def _ask_bus(self) -> bool:
+        """Ask whether the bus is there, a few times a second: its silence says nothing where nobody writes.
+
+        Returns whether it answered the last time: one that does not is asked for nothing else, which would take longer.
+        """
+        if (now_s := self.clock.monotonic_s()) >= self._next_ask_s:
+            self._next_ask_s = now_s + _ASK_S
+            try:
+                self.bus.call("PING")
+            except BusError:
+                self._is_there = False
+            else:
+                self._is_there, self._answered_s = True, self.clock.monotonic_s()
+        return self._is_there
 
     def _look_around(self) -> None:
         """Find the keys, the servers and what they state, and the robots."""

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -191,7 +191,11 @@ def test_on_a_slow_line_pictures_are_new_and_a_stop_is_answered(
 def slow_line(port: int, bytes_s: float) -> Iterator[int]:
     """Give a port that leads to another one, so many bytes a second for all that it answers together."""
     listener, over, lock = socket.create_server(("127.0.0.1", 0)), threading.Event(), threading.Lock()
-    free_s = [time.monotonic()]
+    free_s, ends, threads = [time.monotonic()], list[socket.socket](), list[threading.Thread]()
+
+    def begin(act: Callable[..., None], *arguments: Any, **more: Any) -> None:
+        threads.append(threading.Thread(target=act, args=arguments, kwargs=more))
+        threads[-1].start()
 
     def pump(source: socket.socket, sink: socket.socket, *, is_slow: bool) -> None:
         with contextlib.suppress(OSError):
@@ -212,17 +216,22 @@ def slow_line(port: int, bytes_s: float) -> Iterator[int]:
             except OSError:
                 return
             far = socket.create_connection(("127.0.0.1", port))
-            near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
-            far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
-            for source, sink, is_slow in ((near, far, False), (far, near, True)):
-                threading.Thread(target=pump, args=(source, sink), kwargs={"is_slow": is_slow}, daemon=True).start()
+            ends.extend((near, far))
+            begin(pump, near, far, is_slow=False)
+            begin(pump, far, near, is_slow=True)
 
-    threading.Thread(target=accept, daemon=True).start()
+    begin(accept)
     try:
         yield int(listener.getsockname()[1])
     finally:
         over.set()
-        listener.close()
+        for end in (listener, *ends):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join()
+        for end in (listener, *ends):
+            end.close()
 
 
 def open_slow(console: ConsoleProcess, port: int, path: str) -> PageSocket:

@@ -7,7 +7,7 @@ import { LATCHED } from "./gates.js";
 import { holdButton } from "./hold.js";
 import { uuid } from "./link.js";
 
-const AGAIN_MS = 100, NOT_TAKEN_MS = 350, NO_GATE_MS = 1500, FRESH_S = 1.5, MOST_POSTS = 3, POST_MS = 1000, RELEASE_S = 2;
+const AGAIN_MS = 100, NOT_TAKEN_MS = 350, NO_GATE_MS = 1500, FRESH_S = 0.9, NEWS_S = 0.8, MOST_POSTS = 3, POST_MS = 1000, RELEASE_S = 2;
 
 /** Sends presses until they are taken. */
 class Sender extends EventTarget {
@@ -107,6 +107,7 @@ export function stopWord(press, state, silence_s, is_up, now) {
   }
   if (!is_up) return { kind: "no-link", word: "no link: use the robot’s own button", more: "a press is kept and sent as soon as the station is back" };
   if (!state) return { kind: "no-link", word: "no state yet", more: "a press is sent at once" };
+  if (silence_s > NEWS_S) return { kind: "no-link", word: `no news for ${age(silence_s)}: keep the robot’s own button at hand`, more: "the console answers and hears nothing; a press is sent at once" };
   if (!state.bus?.linked) return { kind: "no-link", word: "no bus: keep the robot’s own button at hand", more: "a press goes to the supervisor" };
   if (stopped.length) return { kind: "ready", word: "ready", more: `${names(stopped)} is stopped already; stops ${names(others)}` };
   return { kind: "ready", word: "ready", more: robots.length ? `stops ${names(robots)}` : "no robot runs here" };
@@ -164,7 +165,7 @@ export class Stop {
 
     this.sender.addEventListener("change", () => this.show());
     for (const change of ["state", "link", "beat"]) link.addEventListener(change, () => this.show());
-    setInterval(() => { if (this.sender.press) this.show(); }, 50);
+    setInterval(() => this.show(), 100);
     this.show();
   }
 
