@@ -178,9 +178,29 @@ def test_c13_the_stop_is_in_view_and_everybody_can_use_the_page(
     assert box["y"] + box["height"] <= size[1]
     assert box["x"] + box["width"] <= size[0]
     assert page.read("document.documentElement.scrollWidth <= innerWidth + 1")
+    assert _violations(page) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_c13_what_is_old_can_be_read_too(g1: Standing, open_page: Open, scheme: str) -> None:
+    g1.wait_again()
+    page = open_page(
+        _operator(g1.console), DESKTOP, color_scheme=scheme, bypass_csp=True, reduced_motion="reduce"
+    ).ready()
+    page.until("stationPage.state.robots.length")
+    g1.console.freeze()
+    try:
+        page.until("stationPage.stop.kind === 'no-link' && document.querySelectorAll('#robots .old').length")
+        assert _violations(page) == []
+    finally:
+        g1.console.thaw()
+
+
+def _violations(page: Page) -> list[Any]:
     page.tab.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.tab.evaluate("async () => (await axe.run()).violations.map(v => [v.id, v.nodes.map(n => n.html)])")
-    assert found == []
+    return list(
+        page.tab.evaluate("async () => (await axe.run()).violations.map(v => [v.id, v.nodes.map(n => n.html)])")
+    )
 
 
 def test_c13_the_keyboard_reaches_everything(g1: Standing, open_page: Open) -> None:
