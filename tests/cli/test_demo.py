@@ -75,7 +75,7 @@ def test_pictures_lie_in_the_episode_and_are_named(done: CompletedProcess[str], 
 
 
 @pytest.mark.usefixtures("drawing_machine")
-def test_it_ends_with_one_screen_what_happened_three_things_to_open_and_one_to_try(
+def test_it_ends_with_one_screen_what_happened_three_things_to_open_and_two_to_try(
     done: CompletedProcess[str], episode: Path
 ) -> None:
     happened, opened, tried, last = (part.splitlines() for part in done.stdout.strip().split("\n\n"))
@@ -84,7 +84,11 @@ def test_it_ends_with_one_screen_what_happened_three_things_to_open_and_one_to_t
     assert happened[-1].startswith("  tracker, run again on what was recorded: ")
     assert opened[0] == "open:"
     assert len(opened) == 4
-    assert tried == ["try:", "  station up g1-demo --yes --record --task mine   record a task of your own"]
+    assert tried == [
+        "try:",
+        "  station up g1-demo --yes --record --task mine   record a task of your own",
+        "  station up g1-demo --yes --console              watch, stop and record in a browser: http://127.0.0.1:8770",
+    ]
     assert last == ["all figures: station check latest   all curves: station view latest"]
     assert len(done.stdout.splitlines()) < 24
 

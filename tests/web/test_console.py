@@ -347,3 +347,19 @@ def test_a_certificate_that_is_none_is_named(processes: None, tmp_path: Any, hel
     (line,) = done.stderr.splitlines()
     assert "page.pem" in line
     assert "PEM" in line
+
+
+def test_it_stays_when_a_station_ends_and_shows_the_next_one(
+    start_console: StartConsole, closing: Keep, tmp_path: Any
+) -> None:
+    options = ServerOptions(socket=tmp_path / "own.sock", folder=tmp_path)
+    with RedisServer.start(options) as first, Bus(first.address, name="walker", timeout_s=5.0) as bus:
+        _walk(bus)
+        page = closing(start_console(address=first.address).page())
+        page.state(lambda state: state["robots"] and state["bus"]["linked"])
+    gone = page.state(lambda state: not state["bus"]["linked"])
+    assert "no station runs" in gone["bus"]["reason"] or "does a station run there" in gone["bus"]["reason"]
+    assert all("silent" not in alarm["text"] for alarm in gone["alarms"])  # of servers nothing is known now
+    with RedisServer.start(options) as second, Bus(second.address, name="walker", timeout_s=5.0) as bus:
+        _walk(bus, gate="holding")
+        page.state(lambda state: state["bus"]["linked"] and state["robots"] and state["robots"][0]["gate"] == "holding")
