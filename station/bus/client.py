@@ -7,6 +7,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from types import TracebackType
 from typing import Any
 
@@ -95,7 +96,6 @@ class Bus:
     publishes, reads or watches a key need not know where it is.
 
     Attributes:
-        bulk_address: Where the bulk bus is; None where there is none.
         clock: Time where the bus is.
         connections: How often this object was connected; one more means that the server may have forgotten us.
         outages: What this process suffered from the bus, its watches included.
@@ -115,7 +115,6 @@ class Bus:
         self.connections = 1
         self.outages: Outages = Outages(self.clock) if bulk_of is None else bulk_of.outages
         self.clocks: Clocks = Clocks(self.address) if bulk_of is None else bulk_of.clocks
-        self.bulk_address = addresses.bulk_of(self.address) if bulk_of is None else None
         self._is_bulk = bulk_of is not None
         self._bulk: Bus | None = None
         self._bulk_lock = self.clock.lock()
@@ -132,6 +131,15 @@ class Bus:
         self._refused, self._refused_s = 0, 0.0  # writes in a row that were answered with an error, and since when
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
         self._connection.set_timeout(self._timeout_s)
+
+    @cached_property
+    def bulk_address(self) -> BusAddress | None:
+        """Where the bulk bus is; None where there is none. Found when it is first needed: a stop needs it never.
+
+        Raises:
+            ConfigError: what names it is no address.
+        """
+        return None if self._is_bulk else addresses.bulk_of(self.address)
 
     @property
     def is_connected(self) -> bool:
@@ -183,7 +191,7 @@ class Bus:
         Raises:
             BusError: some go by the bulk bus, and that was never reached.
         """
-        if self.bulk_address is None or not any(map(keys.is_bulk, values)):
+        if not any(map(keys.is_bulk, values)) or self.bulk_address is None:
             return [(self, values)]
         near = {key: value for key, value in values.items() if not keys.is_bulk(key)}
         there = {key: value for key, value in values.items() if keys.is_bulk(key)}
@@ -249,7 +257,7 @@ class Bus:
         """
         if not wanted:
             return {}
-        if self.bulk_address is not None and (there := [key for key in wanted if keys.is_bulk(key)]):
+        if (there := [key for key in wanted if keys.is_bulk(key)]) and self.bulk_address is not None:
             return self.read([key for key in wanted if not keys.is_bulk(key)]) | self.open_bulk().read(there)
         values = self.call("MGET", *wanted, *(keys.stamp(key) for key in wanted))
         pairs = zip(wanted, values[: len(wanted)], values[len(wanted) :], strict=True)
@@ -262,7 +270,7 @@ class Bus:
     def names(self, pattern: str = "*") -> list[str]:
         """Return the keys that match a pattern, sorted, stamps left out; of a bulk bus that is lost, none."""
         found: set[str] = set()
-        if self.bulk_address is not None and not keys.is_bookkeeping(pattern):
+        if not keys.is_bookkeeping(pattern) and self.bulk_address is not None:
             with contextlib.suppress(BusError):
                 found.update(self.open_bulk().names(pattern))
         cursor = b"0"
@@ -274,7 +282,7 @@ class Bus:
 
     def watch(self, wanted: Sequence[str]) -> Watch:
         """Return a watch that keeps the newest value of each key at hand; close it after use."""
-        if self.bulk_address is None or not any(map(keys.is_bulk, wanted)):
+        if not any(map(keys.is_bulk, wanted)) or self.bulk_address is None:
             return Watch(self.address, wanted, outages=self.outages, clocks=self.clocks)
         return WatchOfBoth(self.address, wanted, bulk=self.bulk_address, outages=self.outages, clocks=self.clocks)
 

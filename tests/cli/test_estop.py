@@ -55,6 +55,14 @@ def test_a_file_of_defaults_that_cannot_be_read_is_in_the_way_only_of_a_bus_that
     assert "the stop is latched for the next start" in one_line(home.run("estop", "--bus", home.bus.url))
 
 
+def test_a_bulk_bus_that_is_no_address_is_in_no_way_of_a_stop(driven: tuple[Home, Running]) -> None:
+    home, _ = driven
+    home.environment |= {"STATION_BULK": "nonsense"}
+    done = home.run("estop")
+    assert done.returncode == 0, done.stderr
+    assert home.run("estop", "--reset").returncode == 0
+
+
 def test_any_other_value_of_the_key_stops_too(driven: tuple[Home, Running]) -> None:
     home, _ = driven
     with Bus(home.bus, name="test", timeout_s=5.0) as bus, logged(BusAddress(socket=home.bus.socket)) as log:
