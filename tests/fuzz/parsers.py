@@ -634,7 +634,7 @@ def _by_itself() -> list[Parser]:
     ]  # fmt: skip
 
 
-def _stops_and_requests() -> list[Parser]:
+def _stops() -> list[Parser]:
     return [
         Parser("stop", _stop, (b"0", b'{"stop": true, "who": "ada", "reason": "so", "arm": true}', b"1"), (
             _LIFE + "estop", "station.control.command_receiver", "station.control.low_level",
@@ -644,6 +644,11 @@ def _stops_and_requests() -> list[Parser]:
         Parser("write that was not mirrored", not_mirrored.decode, (b'{"command":"SWAPDB","key":"a","count":1}',),
                (_BODY + "tap.not_mirrored",)),
         Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "station_monitor",)),
+    ]  # fmt: skip
+
+
+def _requests() -> list[Parser]:
+    return [
         Parser("arm request", partial(parse, kind=arm_request.ArmRequest, what="an arm request"),
                (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada", "late_s": 0.5}',),
                (_LIFE + "request",), (Refused,)),
@@ -961,7 +966,8 @@ def _ros2() -> list[Parser]:
 
 PARSERS = [
     *_by_itself(),
-    *_stops_and_requests(),
+    *_stops(),
+    *_requests(),
     *_told(),
     *_by_key(),
     *_for_pages(),

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from servers.recorder import KIND
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.keeper import KeptServer
@@ -20,15 +19,13 @@ from station.bus.server_options import ServerOptions, bulk_options
 from station.episode.quality.check import check
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.recorder import both_taps, remote
-from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
-from station.life.server import Life, read_health
+from station.life.server import read_health
 from tests.episode.recorder.killed_recorder import Recorder
+from tests.episode.recorder.tap_readers import Make, ask, tap_readers
 from tests.waiting import wait_until
 
 DEPTH, CLOUD, STATE = keys.camera_depth("head"), keys.lidar_cloud("top"), keys.robot_state("g1")
-LONG_S = 600.0
-Make = Callable[[], TapReader]
 
 
 @pytest.fixture
@@ -47,37 +44,8 @@ def head(servers: tuple[KeptServer, KeptServer]) -> Iterator[Bus]:
 
 @pytest.fixture
 def make(servers: tuple[KeptServer, KeptServer], tmp_path: Path) -> Iterator[Make]:
-    """Opens a tap reader as the recorder's process does."""
-    made: list[tuple[TapReader, Life]] = []
-    with Bus(servers[0].address, name="recorder", timeout_s=5.0) as line:
-
-        def build() -> TapReader:
-            options = RecordingOptions(data=tmp_path / "data", min_free_mb=0.0, preroll_s=LONG_S)
-            life = Life(KIND, "recorder", line, "")
-            made.append((TapReader(options, life, backend=None, resume_s=5.0, take_up_s=LONG_S), life))
-            return made[-1][0]
-
+    with tap_readers(servers[0].address, tmp_path / "data") as build:
         yield build
-        for tap_reader, life in made:
-            tap_reader.recording.close()
-            tap_reader.close()
-            life.end("test")
-
-
-def ask(tap_reader: TapReader, head: Bus, action: str) -> str:
-    """Have a request done; return the path of its episode."""
-    head.publish({keys.RECORD: codec.json_object({"id": action, "action": action, "task": "walk"})})
-    found: list[Any] = []
-
-    def is_answered() -> bool:
-        tap_reader.step()
-        tap_reader.recording.poll()
-        found.extend(tap_reader.recording.answers.pop())
-        return bool(found)
-
-    wait_until(is_answered)
-    assert found[0].ok, found[0].reason
-    return str(found[0].path)
 
 
 def write(head: Bus, numbers: range) -> None:

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from adapters.robots.g1 import twist_keys
-from servers.recorder import KIND
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -29,24 +28,21 @@ from station.episode.recorder import remote
 from station.episode.recorder import tap_reader as intake_module
 from station.episode.recorder.both_taps import open_taps
 from station.episode.recorder.latched import latched, not_among
-from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
 from station.episode.recorder.writer import Ledger
 from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import Hole, Manifest, Timing, load_manifest, save_manifest
 from station.episode.storage.progress import load_resume_point
-from station.life.server import Life
+from tests.episode.recorder.tap_readers import LONG_S, Make, ask, tap_readers
 from tests.episode.writes import Native
 from tests.waiting import wait_until
 
 ROBOT = twist_keys.TWIST2_ROBOT
 STATE = keys.robot_state(ROBOT)
-LONG_S = 600.0
 STARTED_S = 5.0  # ago
 BLOCK = b"x" * 100_000
 BLOCKS = 60  # more than a read takes and a socket holds
-Make = Callable[..., TapReader]
 
 
 @pytest.fixture
@@ -57,38 +53,8 @@ def g1(bus_server: BusAddress) -> Iterator[Bus]:
 
 @pytest.fixture
 def make(bus_server: BusAddress, tmp_path: Path) -> Iterator[Make]:
-    """Opens a tap reader as the recorder's process does; at the end all are closed."""
-    made: list[tuple[TapReader, Life]] = []
-    with Bus(bus_server, name="recorder", timeout_s=5.0) as line:
-
-        def build(**options: Any) -> TapReader:
-            chosen = RecordingOptions(data=tmp_path, min_free_mb=0.0, **{"preroll_s": LONG_S, **options})
-            life = Life(KIND, "recorder", line, "")
-            made.append((TapReader(chosen, life, backend=None, resume_s=5.0, take_up_s=LONG_S), life))
-            return made[-1][0]
-
+    with tap_readers(bus_server, tmp_path) as build:
         yield build
-        for tap_reader, life in made:
-            tap_reader.recording.close()
-            tap_reader.close()
-            life.end("test")
-
-
-def ask(tap_reader: TapReader, g1: Bus, action: str, *, but: str = "") -> str:
-    """Have a request done; return the path of its episode. An answer to another one may come before."""
-    g1.publish({keys.RECORD: codec.json_object({"id": action, "action": action, "task": "walk"})})
-    found: list[Any] = []
-
-    def answered() -> bool:
-        tap_reader.step()
-        tap_reader.recording.poll()
-        found.extend(answer for answer in tap_reader.recording.answers.pop() if answer.id != but)
-        return bool(found)
-
-    wait_until(answered)
-    (answer,) = found
-    assert answer.ok, answer.reason
-    return str(answer.path)
 
 
 def stepped(g1: Bus, tick: int) -> None:
