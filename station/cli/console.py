@@ -12,7 +12,6 @@ import msgspec
 from station import config, libraries, python_child, registry
 from station.cli import log_lines
 from station.cli.options import address_of, bus_option, data_option, set_option
-from station.episode.storage.folder import data_folder
 
 
 @click.command("console")
@@ -45,8 +44,6 @@ def command(
 
 
 def _serve(kind: Any, built: Any, bus: str | None, name: str, *, is_new: bool) -> int:
-    from station.bus.address import is_loopback
-    from station.life.server import Life
     from station.life.serving import for_role, serve
     from station.stop_signals import set_on_signals
     from station.web.console import Console
@@ -56,23 +53,14 @@ def _serve(kind: Any, built: Any, bus: str | None, name: str, *, is_new: bool) -
         Keyring().renew()
     address, stop = for_role(address_of(bus), kind.role), threading.Event()
     end = set_on_signals(stop, second_interrupts=True)
-    with Console(
-        address, data_folder(built.data), host=built.host, port=built.port, names=built.names,
-        certificate=None if built.certificate is None else (built.certificate, built.key),
-        is_open=not is_loopback(built.host), name=name, is_judging=built.check,
-    ) as console:  # fmt: skip
-        _show(console, is_open=not is_loopback(built.host))
+    with Console(built, address, name) as console:
+        _show(console, is_open=built.is_open)
         if not console.wait_for_bus(stop):
             return 0
-
-        def main(config: Any, life: Life) -> int:
-            life.configured({"server": name, "role": kind.role, "url": console.url})
-            if not stop.is_set() and life.ready():  # Ctrl-C before the server hears it itself
-                console.run(life.stop_event, config.rate_hz, life.report)
-            return 0
-
+        # Ctrl-C may come before the server hears it itself.
+        shown = msgspec.structs.replace(kind, main=lambda _, life: 0 if stop.is_set() else console.serve(life))
         try:
-            return serve(msgspec.structs.replace(kind, main=main), built, address=address, name=name)
+            return serve(shown, built, address=address, name=name)
         finally:
             end()
 

@@ -148,11 +148,12 @@ def _summary(episode: RecordAnswer) -> str:
 def print_links(book: Runbook) -> None:
     """Print where the console of a station will be, with what lets a page in."""
     from station.web import links
+    from station.web.config import ConsoleConfig
 
-    (step,) = (step for step in book.servers if step.kind.name == "console")
-    if not step.host:
-        for role, link in links.of_config(config.to_plain(step.config)).items():
-            click.echo(f"{role}: {link}")
+    for step in book.servers:
+        if isinstance(step.config, ConsoleConfig) and not step.host:
+            for role, link in links.of(step.config).items():
+                click.echo(f"{role}: {link}")
 
 
 def print_plan(book: Runbook) -> None:

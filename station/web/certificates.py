@@ -6,7 +6,6 @@ leaves this user's state folder, mode 0600.
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import ipaddress
 import socket
@@ -15,9 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from station.atomic_file import write_atomic
-from station.bus.address import is_loopback
 from station.life import stop_file
-from station.web.links import EVERY
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -52,25 +49,6 @@ def own(names: Sequence[str], folder: Path | None = None) -> ServerCertificate:
     if not _is_good(found, names):
         _make(found, where / "authority.key", names)
     return found
-
-
-def names_of(host: str, more: Sequence[str] = ()) -> list[str]:
-    """Return what a page on an address may be opened as: that, this machine's names, and the loopback ones."""
-    machine = socket.gethostname()
-    usual = [machine, f"{machine}.local", "localhost", "127.0.0.1", "::1"]
-    every = _addresses() if host in EVERY else [host]
-    return list(dict.fromkeys([*every, *usual, *more]))
-
-
-def _addresses() -> list[str]:
-    """Return the addresses of this machine for others, as far as its name, or its way out, says."""
-    found: list[str] = []
-    with contextlib.suppress(OSError):  # a machine whose name nothing resolves
-        found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None)]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
-        probe.connect(("192.0.2.1", 9))  # sends nothing: the kernel chooses the card that leads out
-        found.append(str(probe.getsockname()[0]))
-    return [name for name in dict.fromkeys(found) if "%" not in name and not is_loopback(name)]
 
 
 def _is_good(files: ServerCertificate, names: Sequence[str]) -> bool:

@@ -7,7 +7,7 @@ that are replaced as a whole; nothing of a page is waited for.
 from __future__ import annotations
 
 import asyncio
-import logging
+import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,21 +15,24 @@ from typing import Any
 
 from station.api.live import Station
 from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.config import to_plain
+from station.episode.storage.folder import data_folder
 from station.errors import BusError, NotReady, StationError
 from station.life.events import Event
 from station.life.loop import Rate
+from station.life.server import Life
 from station.printable import printable
 from station.software import software
 from station.web import asks, certificates, links
 from station.web.asks import Ask
+from station.web.config import ConsoleConfig
 from station.web.feeds import Feeds
 from station.web.keyring import Keyring, Role
 from station.web.look import Look
 from station.web.stops import Stops
 from station.web.takes import Takes
 from station.web.web_server import WebServer
-
-log = logging.getLogger(__name__)
 
 _STATE_S, _KEYS_S = 0.25, 1.0
 _AGAIN_S = 0.5  # between two tries to reach a bus
@@ -40,17 +43,12 @@ Told = dict[str, Any]
 
 
 class Console:
-    """Serves pages of a station from when it is made; `run` looks at the bus meanwhile.
+    """Serves pages of a station from when it is made; `serve` looks at the bus meanwhile.
 
     Args:
+        config: How it is set up.
         address: The bus, which need not be there.
-        data: Folder of episodes.
-        host, port: Where pages are served; port 0 takes a free one.
-        names: Further names that a page may be opened as.
-        certificate: Certificate and key, as PEM; None makes them with an authority of this user where `host` is no
-            loopback address.
         name: Name of the server.
-        is_judging: Whether new episodes are checked.
 
     Attributes:
         url: Where the page is, without a token.
@@ -60,31 +58,28 @@ class Console:
         StationError: the address or the port cannot be had, or the secrets cannot be read.
     """
 
-    def __init__(
-        self, address: BusAddress, data: Path, *, host: str = "127.0.0.1", port: int = 0, names: tuple[str, ...] = (),
-        certificate: tuple[Path, Path] | None = None, is_open: bool = False, name: str = "console",
-        is_judging: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, config: ConsoleConfig, address: BusAddress, name: str) -> None:
         from station.web.pages import Pages
 
         self.address, self.name, self.keyring = address, name, Keyring()
-        self._hosts = certificates.names_of(host, names)
+        self._config = config
+        hosts = links.names_of(config.host, config.names)
         self.authority: Path | None = None
-        if certificate is None and is_open:
-            made = certificates.own(self._hosts)
+        certificate = None if config.certificate is None or config.key is None else (config.certificate, config.key)
+        if certificate is None and config.is_secure:
+            made = certificates.own(hosts)
             certificate, self.authority = (made.file, made.key_file), made.ca_file
-        self._server = WebServer(host, port, certificate)
-        shown = self._hosts[0] if host in links.EVERY else host
-        self.url = links.url(shown, self._server.port, is_secure=certificate is not None)
+        self._server = WebServer(config.host, config.port, certificate)
+        self.url = links.url(config, self._server.port)
         self.feeds, self.stops = Feeds(), Stops(address, name)
-        self.takes = Takes(data, address.clock, self._tell_takes, is_judging=is_judging)
+        self.takes = Takes(data_folder(config.data), address.clock, self._tell_takes, is_judging=config.check)
         self._clock = address.clock
         self._look: Look | None = None
         self._station: Station | None = None
         self._asking = ThreadPoolExecutor(_ASKS, "console-ask")
         self._lock = threading.Lock()
         self._state: Told = _nothing_yet(address)
-        self._pages = Pages(self, self._hosts, self._server.port, is_secure=certificate is not None)
+        self._pages = Pages(self, hosts, self._server.port, is_secure=config.is_secure)
         self._server.start(self._pages.app)
 
     @property
@@ -139,7 +134,7 @@ class Console:
         """Wait until the bus answers, telling the pages meanwhile; return whether it does, and not `stop` was set."""
         while not stop.is_set():
             try:
-                Look(self.address, self.name).close()
+                Bus(self.address, name=self.name).close()
             except BusError as error:
                 self._state = _nothing_yet(self.address, str(error))
                 self._post({"t": "state"})
@@ -148,20 +143,22 @@ class Console:
                 return True
         return False
 
-    def run(self, stop: threading.Event, rate_hz: float, report: Any) -> None:
-        """Look at the bus until asked to stop.
+    def serve(self, life: Life) -> int:
+        """Look at the bus until the server is asked to stop; return the exit code."""
+        os.nice(self._config.niceness)
+        facts = {"server": life.name, "role": "console", "url": self.url, "config": to_plain(self._config)}
+        life.configured(facts)
+        if life.ready():
+            self._run(life)
+        return 0
 
-        Args:
-            stop: Ends it.
-            rate_hz: How often [Hz].
-            report: Called now and then with what the server's heartbeat says.
-        """
+    def _run(self, life: Life) -> None:
         self._look = look = Look(self.address, self.name)
         self.stops.warm()
-        rate, next_state_s, next_keys_s = Rate(rate_hz, self._clock), 0.0, 0.0
+        rate, next_state_s, next_keys_s = Rate(self._config.rate_hz, self._clock), 0.0, 0.0
         was: tuple[object, ...] = ()
         try:
-            while not stop.is_set():
+            while not life.stopping:
                 frames = look.step(self.feeds.wanted)
                 if frames:
                     self._call(self.feeds.put, frames)
@@ -176,8 +173,8 @@ class Console:
                 if now_s >= next_keys_s:
                     next_keys_s = now_s + _KEYS_S
                     self._post({"t": "keys"})
-                    report(viewers=self._pages.viewers, url=self.url)
-                rate.wait(stop)
+                    life.report(viewers=self._pages.viewers)
+                rate.wait(life.stop_event)
         finally:
             self._look = None
             look.close()

@@ -45,16 +45,12 @@ class Feeds:
         return frozenset(name for viewer in self._viewers for name in viewer.wanted)
 
     def put(self, frames: Mapping[str, Frame]) -> None:
-        """Take newer frames of some feeds; one that nobody follows is kept no longer than it is wanted."""
+        """Take newer frames of some feeds."""
         for name, frame in frames.items():
             self._count += 1
             self._newest[name] = self._count, frame
         for viewer in self._viewers:
             viewer.wake(frames)
-
-    def forget(self, kept: Iterable[str]) -> None:
-        """Keep the newest of some feeds and of no others."""
-        self._newest = {name: self._newest[name] for name in kept if name in self._newest}
 
     def newest(self, name: str) -> tuple[int, Frame] | None:
         """Return the newest frame of a feed with its number, which only grows; None where there is none."""

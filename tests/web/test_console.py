@@ -27,7 +27,6 @@ from station.life import estop, events
 from station.life.server import Health
 from station.life.stop_file import StopFile
 from tests import strider
-from tests.waiting import wait_until
 from tests.web.conftest import StartConsole
 from tests.web.console_process import PageSocket
 
@@ -300,7 +299,7 @@ def test_ctrl_c_ends_it_with_code_zero(start_console: StartConsole, closing: Kee
     closing(console.page()).state()
     console.process.send_signal(2)
     assert console.process.wait(20) == 0
-    wait_until(lambda: "Traceback" not in console.words())
+    assert "Traceback" not in console.words()
 
 
 @pytest.fixture
