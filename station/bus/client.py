@@ -20,6 +20,7 @@ from station.bus.clocks import Clocks
 from station.bus.connection import Argument, Connection, ConnectionLost
 from station.bus.outage import Kind, Outages
 from station.bus.sample import Sample
+from station.bus.stamp import Stamp
 from station.bus.watch import Watch, WatchOfBoth
 from station.clock import Clock
 from station.errors import BusError
@@ -266,6 +267,15 @@ class Bus:
             for key, value, mark in pairs
             if value is not None
         }
+
+    def stamps(self, names: Sequence[str]) -> dict[str, Stamp | None]:
+        """Return the stamp beside each key, None for a foreign writer; of the values, pictures too, nothing is read."""
+        if (there := [key for key in names if keys.is_bulk(key)]) and self.bulk_address is not None:
+            return self.stamps([key for key in names if not keys.is_bulk(key)]) | self.open_bulk().stamps(there)
+        if not names:
+            return {}
+        marks = self.call("MGET", *(keys.stamp(key) for key in names))
+        return {key: stamp.decode(mark) if mark else None for key, mark in zip(names, marks, strict=True)}
 
     def names(self, pattern: str = "*") -> list[str]:
         """Return the keys that match a pattern, sorted, stamps left out; of a bulk bus that is lost, none."""

@@ -8,11 +8,10 @@ from typing import Any, get_args
 import msgspec
 from rich.console import Console, Group, RenderableType
 
-from station.bus import clocks, keys
+from station.bus import clocks
 from station.bus import stamp as stamps
 from station.bus.client import Bus
 from station.bus.contracts import Contracts
-from station.bus.stamp import Stamp
 from station.contract import Role
 from station.life import stop_file
 from station.life.server import Health, read_configurations, read_health
@@ -61,7 +60,7 @@ class Status(msgspec.Struct, frozen=True):
 def read_status(bus: Bus, meter: RateMeter) -> Status:
     """Return the status of a station whose writes a meter has been counting."""
     rates, described = meter.rates(), Contracts(read_configurations(bus))
-    found, marks = [], _stamps(bus)
+    found, marks = [], bus.stamps(bus.names())
     elsewhere = {stamps.boot_of(mark.source) for mark in marks.values() if mark and not mark.is_from_this_boot}
     ahead_ns = clocks.walls_ahead_ns(bus.call, elsewhere, bus.clock)
     for key, mark in marks.items():
@@ -126,15 +125,6 @@ def _lines(shown: RenderableType, width: int) -> int:
 def _place(role: str) -> int:
     """Return which roles come first: what an operator looks for is what the robot is told, and what it does."""
     return _ROLES.index(role) if role in _ROLES else len(_ROLES)
-
-
-def _stamps(bus: Bus) -> dict[str, Stamp | None]:
-    """Return the stamp beside each key; of the values, which may be pictures or worse, nothing is fetched."""
-    names = bus.names()
-    if not names:
-        return {}
-    marks = bus.call("MGET", *(keys.stamp(name) for name in names))
-    return {name: stamps.decode(mark) if mark else None for name, mark in zip(names, marks, strict=True)}
 
 
 def _age(rate: KeyRate | None, written_wall_ns: int | None, now_wall_ns: int) -> float | None:

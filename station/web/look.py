@@ -292,12 +292,10 @@ class Look:
         self._robots = found
 
     def _count(self, now_s: float) -> None:
-        """Count writes by the stamps of the keys: of their values, pictures among them, nothing is fetched."""
-        names = self._names[:MOST_KEYS]
-        marks = self.bus.call("MGET", *(keys.stamp(name) for name in names)) if names else []
+        """Count writes by the stamps of the keys."""
         found = {}
-        for name, data in zip(names, marks, strict=True):
-            if not data or (mark := stamps.decode(data)) is None:
+        for name, mark in self.bus.stamps(self._names[:MOST_KEYS]).items():
+            if mark is None:
                 continue
             at_s, before, _ = self._counts.get(name, (now_s, mark, 0.0))
             written = mark.seq - before.seq if mark.source == before.source else 0

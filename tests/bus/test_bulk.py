@@ -80,6 +80,15 @@ def test_who_reads_a_key_need_not_know_where_it_is(bus: BusAddress, bulk: KeptSe
         }  # fmt: skip
 
 
+def test_who_wrote_depth_is_told_as_of_any_key(bus: BusAddress, bulk: KeptServer) -> None:
+    with Bus(bus, name="head", timeout_s=5.0) as line:
+        line.publish({DEPTH: b"png", COLOUR: b"jpeg"})
+        told = line.stamps([*line.names(), "nothing"])
+        assert {key: mark.writer if mark else None for key, mark in told.items()} == {
+            DEPTH: "head", COLOUR: "head", "nothing": None,
+        }  # fmt: skip
+
+
 def test_without_a_second_server_all_goes_over_the_bus(bus: BusAddress) -> None:
     with Bus(bus, name="head", timeout_s=1.0) as line:
         assert line.bulk_address is None
