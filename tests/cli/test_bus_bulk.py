@@ -115,7 +115,7 @@ def test_one_that_was_killed_is_there_again_and_one_whose_terminal_was_killed_is
         process.kill()
         process.wait()
         process.stdout.close()
-    wait_until(lambda: not bus_answers(own))
+    wait_until(lambda: not bus_answers(own) and not bus_answers(bulk))
     assert bulk_beside(str(own.socket)).exists()
     with found_or_started(None) as address:
         assert bulk_of(address) is None
