@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import threading
 from typing import Any
 
@@ -12,6 +13,9 @@ import msgspec
 from station import config, libraries, python_child, registry
 from station.cli import log_lines
 from station.cli.options import address_of, bus_option, data_option, set_option
+from station.errors import BusError
+
+log = logging.getLogger(__name__)
 
 
 @click.command("console")
@@ -55,12 +59,17 @@ def _serve(kind: Any, built: Any, bus: str | None, name: str, *, is_new: bool) -
     end = set_on_signals(stop, second_interrupts=True)
     with Console(built, address, name) as console:
         _show(console, is_open=built.is_open)
-        if not console.wait_for_bus(stop):
-            return 0
         # Ctrl-C may come before the server hears it itself.
         shown = msgspec.structs.replace(kind, main=lambda _, life: 0 if stop.is_set() else console.serve(life))
         try:
-            return serve(shown, built, address=address, name=name)
+            while console.wait_for_bus(stop):
+                try:
+                    return serve(shown, built, address=address, name=name)
+                except BusError as error:  # it went as the server began
+                    log.warning("%s; waits for the next", error)
+                    end()  # the server that did not begin has the signals
+                    end = set_on_signals(stop, second_interrupts=True)
+            return 0
         finally:
             end()
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,12 +31,30 @@ def expect_browser() -> str:
 
 
 @contextlib.contextmanager
-def opened() -> Iterator[Any]:
-    """Give a browser."""
-    program = expect_browser()
+def driven() -> Iterator[Any]:
+    """Give what drives browsers; a thread may have one of these."""
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra 'test'")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield driver
+
+
+@contextlib.contextmanager
+def opened(driver: Any, niceness: int = 15, *, draws: bool = False) -> Iterator[Any]:
+    """Give a browser.
+
+    Args:
+        driver: Of `driven`.
+        niceness: How far it stands back behind what other tests run: a robot twin beside it has 0.1 s for a state.
+        draws: Whether it has WebGL: without a GPU it draws on the processors, all that there are.
+    """
+    program = expect_browser()
+    with tempfile.TemporaryDirectory() as folder:
+        standing_back = Path(folder) / "browser"
+        standing_back.write_text(f'#!/bin/sh\nexec nice -n {niceness} {shlex.quote(program)} "$@"\n')
+        standing_back.chmod(0o700)
+        browser = driver.chromium.launch(
+            executable_path=standing_back, args=["--no-sandbox", *([] if draws else ["--disable-3d-apis"])]
+        )
         try:
             yield browser
         finally:
@@ -86,7 +107,8 @@ class Page:
 
     def ready(self) -> Page:
         """Wait until it has been told of a station."""
-        self.until("window.stationPage && stationPage.state && stationPage.state.bus.linked && stationPage.is_known")
+        self.until("window.stationPage && stationPage.state && stationPage.state.bus.linked")
+        self.until("stationPage.is_known && stationPage.is_ready")
         return self
 
     @property

@@ -37,9 +37,17 @@ Open = Callable[..., Page]
 
 
 @pytest.fixture(scope="module")
-def browser(processes: None) -> Iterator[Any]:
+def driver(processes: None) -> Iterator[Any]:
+    """What drives browsers."""
+    browsers.expect_browser()
+    with browsers.driven() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def browser(driver: Any) -> Iterator[Any]:
     """A browser."""
-    with browsers.opened() as found:
+    with browsers.opened(driver) as found:
         yield found
 
 
@@ -50,9 +58,8 @@ def g1(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         yield made
 
 
-@pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    """Open pages that are closed at the end, and in which nothing went wrong."""
+@contextlib.contextmanager
+def _pages(browser: Any) -> Iterator[Open]:
     with contextlib.ExitStack() as stack:
         opened: list[Page] = []
 
@@ -64,6 +71,27 @@ def open_page(browser: Any) -> Iterator[Open]:
 
         yield begin
         assert [trouble for page in opened for trouble in page.trouble] == []
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    """Open pages that are closed at the end, and in which nothing went wrong."""
+    with _pages(browser) as begin:
+        yield begin
+
+
+@pytest.fixture(scope="module")
+def drawing_browser(driver: Any) -> Iterator[Any]:
+    """A browser with WebGL."""
+    with browsers.opened(driver, draws=True) as found:
+        yield found
+
+
+@pytest.fixture
+def open_drawn(drawing_browser: Any) -> Iterator[Open]:
+    """As `open_page`, with the robot in 3D."""
+    with _pages(drawing_browser) as begin:
+        yield begin
 
 
 def _operator(console: ConsoleProcess) -> str:
@@ -251,7 +279,7 @@ def test_c14_a_take_from_the_page_is_what_check_says(tmp_path: Path, processes: 
         page.until("stationPage.state.recorder.messages > 500")
         _click(page, "Keep: success")
         page.until("stationPage.state.recorder.state === 'idle'")
-        verdict = page.until("stationPage.state.takes.last", 60.0)
+        verdict = page.until("stationPage.state.takes.last", 180.0)
         told = terminal.json("check", "latest")
         assert verdict == told["verdict"]
         assert page.read("stationPage.state.takes.last_hour") == 1
@@ -266,8 +294,8 @@ def test_c14_a_take_from_the_page_is_what_check_says(tmp_path: Path, processes: 
         station.communicate(timeout=60)
 
 
-def test_c16_nothing_leaves_the_origin(g1: Standing, open_page: Open) -> None:
-    page = open_page(_operator(g1.console)).ready()
+def test_c16_nothing_leaves_the_origin(g1: Standing, open_drawn: Open) -> None:
+    page = open_drawn(_operator(g1.console)).ready()
     page.until("stationPage.drawn.scene > 5")
     strangers = [url for url in page.asked if not url.startswith((g1.console.origin, "blob:", "data:"))]
     assert strangers == []
@@ -282,9 +310,9 @@ def test_c16_vendored_files_are_what_their_list_says() -> None:
         assert facts["licence"]
 
 
-def test_poses_are_drawn_and_pictures_are_not_waited_for(g1: Standing, open_page: Open) -> None:
+def test_poses_are_drawn_and_pictures_are_not_waited_for(g1: Standing, open_drawn: Open) -> None:
     g1.wait_again()
-    page = open_page(_operator(g1.console)).ready()
+    page = open_drawn(_operator(g1.console)).ready()
     page.until("stationPage.drawn.scene > 10")
     name = f"robot:{ROBOT}"
     first = page.read(f"stationPage.frames['{name}']")

@@ -145,7 +145,9 @@ NOTE_PRESS = (
 def test_the_page_says_nothing_wrong_for_long_whatever_fails(proof: Figures, processes: None, tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         g1 = stack.enter_context(contextlib.closing(Standing(tmp_path / "w")))
-        browser: Any = stack.enter_context(browsers.opened())
+        browser: Any = stack.enter_context(
+            browsers.opened(stack.enter_context(browsers.driven()), niceness=0, draws=True)
+        )
         faults = stack.enter_context(contextlib.closing(Faults(g1, browser, seed=1)))
         wrong_s = []
         for _ in range(ORDERS):
@@ -244,7 +246,9 @@ def test_a_press_damps_the_robot_in_time(proof: Figures, processes: None, tmp_pa
         g1 = stack.enter_context(contextlib.closing(Standing(tmp_path / "w")))
         names = ("head", "wrist")
         stack.enter_context(cameras(g1.address, names))
-        browser: Any = stack.enter_context(browsers.opened())
+        browser: Any = stack.enter_context(
+            browsers.opened(stack.enter_context(browsers.driven()), niceness=0, draws=True)
+        )
         page = Page(browser, g1.console.links()["operator"])
         stack.callback(page.close)
         page.tab.evaluate(NOTE_PRESS)

@@ -200,7 +200,8 @@ def test_a_guard_that_was_killed_while_armed_begins_with_damping(bench):
     before = len(bench.robot.received)
     bench.guard = bench.start()
     wait_until(lambda: len(bench.robot.received) > before + 20)
-    assert (bench.status().state, bench.status().reason) == (State.DAMPING, Reason.RESTARTED)
+    said = bench.status()
+    assert (said.state, said.reason) == (State.DAMPING, Reason.RESTARTED)
     assert not bench.robot.received[-1].kp.any()
     assert bench.robot.received[-1].is_damping
     wait_until(lambda: not bench.status().foreign, 30)  # the one that was killed is missed after ten seconds

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.robots.g1.dds import messages
+from adapters.robots.g1.dds.options import STATE_RATE_HZ
 from adapters.robots.g1.joints import G1_29
 from station.protocols import FALL_TILT_RAD, Floats
 from station.rotations import tilt
@@ -20,7 +21,7 @@ JOINTS = len(G1_29)
 SILENT_S = 0.1
 """A robot that sent no new state for longer is damped [s]: five control periods."""
 
-_RATE_HZ, _OVER_S = 490.0, 2.0
+_OVER_S = 2.0
 _TICKS_PER_STATE, _LOST = 2, 0.01
 _TILT_RAD, _GYRO_RAD_S, _SPEED_RAD_S = np.radians(10.0), 0.2, 0.3
 _COOL_C, _WINDING_C, _CASING_C = 60.0, 120.0, 85.0
@@ -33,14 +34,15 @@ class HealthMonitor:
 
     Args:
         where: In words, where the states were to come from: ``eno1, domain 0``.
+        least_rate_hz: States that have to come before it is armed, of 500 [Hz].
 
     Attributes:
         damaged: States whose checksum was wrong.
         lost_ticks: Milliseconds of the robot's own time that no state told of, beyond the two between two states.
     """
 
-    def __init__(self, where: str) -> None:
-        self._where = where
+    def __init__(self, where: str, least_rate_hz: float = STATE_RATE_HZ) -> None:
+        self._where, self._least_rate_hz = where, least_rate_hz
         self.damaged = self.lost_ticks = 0
         self._damaged_at: deque[float] = deque(maxlen=64)
         self._came: deque[tuple[float, int, int]] = deque()  # when, how many new ticks, by how much the tick grew
@@ -119,7 +121,7 @@ class HealthMonitor:
         count, grown = sum(row[1] for row in list(self._came)[1:]), sum(row[2] for row in list(self._came)[1:])
         if span_s < _OVER_S:
             return f"its states have come for {span_s:.1f} s; expected {_OVER_S:g} s of them"
-        if count / span_s < _RATE_HZ:
+        if count / span_s < self._least_rate_hz:
             lost = 1.0 - count * _TICKS_PER_STATE / max(grown, 1)  # the robot's tick tells how many it has sent
             why = (
                 f"{lost * 100.0:.0f} % are lost on the way: is the cable good, is this machine busy?"

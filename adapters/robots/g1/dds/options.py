@@ -13,6 +13,9 @@ LOOPBACK = "lo"
 ROBOT_DOMAIN = 0
 """A robot's; simulations use another."""
 
+STATE_RATE_HZ = 490.0
+"""States that a robot sends at least, of 500 [Hz]."""
+
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,15}")  # Linux has 15 letters at most
 
 
@@ -49,6 +52,8 @@ class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fie
         mode_machine: What the robot says it is when it is of the kind that the policy was made for, or is known to walk
             on: 5 for 29 joints, 6 for a locked waist, 4 for 23 joints. Joints that are not there are told as 0.
         first_state_within_s: Longest wait for its first state [s].
+        least_state_rate_hz: States that have to come, of 500, before it is armed [Hz]. Of a robot 490; its twin on a
+            busy machine sends fewer.
         guard, guard_port: Address of the guard (`bridges/g1_guard`) that owns the motors; "" for none: then nothing
             damps the robot when this process dies.
         remote: What buttons of the remote ask for: ``arm``, ``policy`` (the next one), ``disarm``. Select, and L2 with
@@ -57,6 +62,7 @@ class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fie
 
     mode_machine: Literal[4, 5, 6] = 5
     first_state_within_s: float = 5.0
+    least_state_rate_hz: Annotated[float, msgspec.Meta(ge=450.0, le=500.0)] = STATE_RATE_HZ
     guard: str = ""
     guard_port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 47029
     remote: dict[str, Action] = {}

@@ -64,7 +64,7 @@ class G1Dds:
     def __init__(self, options: G1DdsOptions, control_dt_s: float, clock: Clock = SYSTEM) -> None:
         self._options, self._dt_s, self._clock = options, control_dt_s, clock
         where = f"{options.interface}, domain {options.domain}"
-        self._monitor, self._remote = HealthMonitor(where), Remote()
+        self._monitor, self._remote = HealthMonitor(where, options.least_state_rate_hz), Remote()
         self._lower = np.array([joint.lower for joint in G1.joints])
         self._upper = np.array([joint.upper for joint in G1.joints])
         self._network = Network(options)

@@ -9,9 +9,9 @@ from adapters.robots.g1.dds import messages
 from adapters.robots.g1.dds.health_monitor import HealthMonitor
 
 
-def why_not_arm(every_ms: int, arrives: int) -> str:
+def why_not_arm(every_ms: int, arrives: int, *least_rate_hz: float) -> str:
     """Return what is said after three seconds of states, of which all arrive but each so-manieth; 0 for all."""
-    monitor = HealthMonitor("eno1, domain 0")
+    monitor = HealthMonitor("eno1, domain 0", *least_rate_hz)
     state = messages.new_state()
     state["quat_wxyz"][0, 0] = 1.0
     for number in range(3000 // every_ms):
@@ -28,6 +28,10 @@ def why_not_arm(every_ms: int, arrives: int) -> str:
 ])  # fmt: skip
 def test_what_a_cable_loses_is_told_from_what_a_robot_does_not_send(every_ms, arrives, words):
     assert words in why_not_arm(every_ms, arrives)
+
+
+def test_of_a_twin_on_a_busy_machine_fewer_states_are_expected():
+    assert why_not_arm(2, 20, 450.0) == why_not_arm(2, 0)
 
 
 def test_after_a_silence_states_have_to_come_for_two_seconds_anew():
