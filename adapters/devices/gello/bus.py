@@ -108,7 +108,10 @@ class MotorBus(ABC):
             return None
         if not all(self._reader.isAvailable(id_, *self._position) for id_ in ids):
             return None  # an answer without the number, of which the library would make 0
-        ticks = [self._ticks(id_, self._reader.getData(id_, *self._position)) for id_ in ids]
+        try:
+            ticks = [self._ticks(id_, self._reader.getData(id_, *self._position)) for id_ in ids]
+        except IndexError:  # an answer to something else, of before, that came late: it has no number
+            return None
         return np.array(ticks, dtype=np.float64) * RAD_PER_TICK
 
     def close(self) -> None:

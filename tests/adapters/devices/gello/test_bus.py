@@ -117,6 +117,15 @@ def test_a_torn_answer_is_no_position_and_the_next_is_right(bus: MotorBus, servo
     assert bus.positions(list(TICKS)) is not None
 
 
+def test_an_answer_that_came_late_and_has_no_number_is_no_position(
+    bus: MotorBus, servos: list[Servo], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as late:
+        late.setattr(servos[2], "read", lambda address, length: b"")  # as of a write
+        assert bus.positions(list(TICKS)) is None
+    assert bus.positions(list(TICKS)) is not None
+
+
 @pytest.mark.parametrize("set_s", [-3600.0, 3600.0])
 def test_a_wall_clock_that_is_set_spoils_no_reading(
     bus: MotorBus, servos: list[Servo], clock: VirtualClock, set_s: float
