@@ -37,6 +37,7 @@ VERBS = {
     "logs": "Print what the servers said; --follow goes on.",
     "settings": "List the servers, or the settings of one and what they mean.",
     "console": "Show the station in a browser: robot, cameras, curves, and a stop.",
+    "pair": "Print code and link that let a headset, a phone or a browser in.",
     "status": "Show servers and their states, keys, rates and ages.",
     "doctor": "Find out why the robot does nothing, and what to do.",
     "estop": "Stop every robot on the bus; --reset releases.",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from station import libraries
+from station.bus.address import BusAddress
 from station.clock import Clock
 from station.config import to_plain
 from station.errors import ConfigError
@@ -51,11 +52,16 @@ class Source:
         begin: Lets the script of a fake begin; called once, when the server is active. None for a real device.
         also: Makes further values, written with every tick, of the newest sample; of an empty one while the device is
             lost, so that no button stays pressed.
+        beside: What runs beside it while the server is active, of the bus's address and the server's name: of a device
+            that shows its operator pictures and tells what happens. None for one that does not.
+        numbers: What the server tells of the device once a second, in its heartbeat.
     """
 
     open: Callable[[], Device]
     begin: Callable[[], object] | None = None
     also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None
+    beside: Callable[[BusAddress, str], AbstractContextManager[object]] | None = None
+    numbers: Callable[[], Mapping[str, Any]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +128,4 @@ class DeviceKind:
         start_s = script_time.now_s(life) if config.fake is not None else 0.0
         with self.source(config, life.clock, start_s) as source:
             begin = None if source.begin is None else functools.partial(script_time.begin, source.begin, start_s)
-            return serve_device(
-                life, source.open, rate_hz=config.rate_hz, config=to_plain(config), also=source.also, on_active=begin
-            )
+            return serve_device(life, source, rate_hz=config.rate_hz, config=to_plain(config), on_active=begin)

@@ -8,6 +8,7 @@ device that is torn out is looked for again, once a second, until it is there.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,6 +18,7 @@ from station.life.loop import Rate, real_time
 from station.life.server import Life
 from station.operator import sample as readings
 from station.operator.device import Device, DeviceError
+from station.operator.device_kind import Source
 from station.operator.sample import OperatorSample, Part, State, Status
 
 _AGAIN_S = 1.0
@@ -25,11 +27,10 @@ _SEVERITY: dict[State, Severity] = {"live": "info", "stale": "warning", "lost": 
 
 def serve_device(
     life: Life,
-    open_device: Callable[[], Device],
+    source: Source,
     *,
     rate_hz: float,
     config: Mapping[str, Any],
-    also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None,
     on_active: Callable[[], Mapping[str, Any]] | None = None,
     punctual: Callable[[], str] = real_time,
 ) -> int:
@@ -37,18 +38,17 @@ def serve_device(
 
     Args:
         life: The server's; its name is the device's on the bus.
-        open_device: Opens the device; called again after it was lost.
+        source: Opens the device, at once and again after it was lost.
         rate_hz: Looks per second [Hz].
         config: The server's configuration in plain values, for the manifest.
-        also: Makes further values, written with every tick, of the newest sample; of an empty one while the device is
-            lost, so that no button stays pressed.
         on_active: Called once when the server is active; what it returns joins the stated configuration.
         punctual: Makes this process as punctual as it may be; says what was obtained.
 
     Raises:
         DeviceError: the device cannot be opened at the start.
     """
-    device_loop = _DeviceLoop(life, open_device, also)
+    device_loop = _DeviceLoop(life, source)
+    beside = contextlib.ExitStack()
     try:
         facts = {"server": life.name, "role": "sensor", "rate_hz": rate_hz, "device": device_loop.facts(),
                  "config": dict(config)}  # fmt: skip
@@ -57,14 +57,17 @@ def serve_device(
             return 0
         if on_active is not None:
             life.configured(facts | dict(on_active()))
+        if source.beside is not None:
+            beside.enter_context(source.beside(life.bus.address, life.name))
         life.report(scheduling=punctual())
-        _run(life, device_loop, rate_hz)
+        _run(life, device_loop, rate_hz, source.numbers or dict)
     finally:
         device_loop.close()
+        beside.close()
     return 0
 
 
-def _run(life: Life, device_loop: _DeviceLoop, rate_hz: float) -> None:
+def _run(life: Life, device_loop: _DeviceLoop, rate_hz: float, numbers: Callable[[], Mapping[str, Any]]) -> None:
     rate, ticks, counted = Rate(rate_hz, life.clock), 0, 0
     window = max(2, round(rate_hz))
     while not life.stopping:
@@ -74,27 +77,23 @@ def _run(life: Life, device_loop: _DeviceLoop, rate_hz: float) -> None:
         if ticks % window == 0:  # once a second
             stats = rate.stats()
             life.report(rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                        overruns=stats.overruns, samples_hz=(device_loop.new - counted) * rate_hz / window)  # fmt: skip
+                        overruns=stats.overruns, samples_hz=(device_loop.new - counted) * rate_hz / window,
+                        **numbers())  # fmt: skip
             counted = device_loop.new
 
 
 class _DeviceLoop:
     """Between a device and the bus."""
 
-    def __init__(
-        self,
-        life: Life,
-        open_device: Callable[[], Device],
-        also: Callable[[OperatorSample], Mapping[str, bytes]] | None,
-    ) -> None:
-        self._life, self._open, self._also = life, open_device, also
+    def __init__(self, life: Life, source: Source) -> None:
+        self._life, self._open, self._also = life, source.open, source.also
         self._freshness = Freshness()
         self._state: State = "lost"
         self._reason, self._told = "", ""
         self._parts: tuple[Part, ...] = ()
         self._newest = OperatorSample()
         self._look_s = life.clock.monotonic_s() + _AGAIN_S  # a device that is there needs a moment to say so
-        self._device: Device | None = open_device()
+        self._device: Device | None = source.open()
 
     @property
     def new(self) -> int:

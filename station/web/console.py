@@ -10,7 +10,6 @@ import asyncio
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from station.api.live import Station
@@ -24,7 +23,7 @@ from station.life.loop import Rate
 from station.life.server import Life
 from station.printable import printable
 from station.software import software
-from station.web import asks, certificates, links
+from station.web import asks, links
 from station.web.asks import Ask
 from station.web.config import ConsoleConfig
 from station.web.feeds import Feeds
@@ -32,7 +31,7 @@ from station.web.keyring import Keyring, Role
 from station.web.look import Look
 from station.web.stops import Stops
 from station.web.takes import Takes
-from station.web.web_server import WebServer
+from station.web.web_server import listen
 
 _STATE_S, _KEYS_S = 0.25, 1.0
 _AGAIN_S = 0.5  # between two tries to reach a bus
@@ -63,14 +62,7 @@ class Console:
 
         self.address, self.name, self.keyring = address, name, Keyring()
         self._config = config
-        hosts = links.names_of(config.host, config.names)
-        self.authority: Path | None = None
-        certificate = None if config.certificate is None or config.key is None else (config.certificate, config.key)
-        if certificate is None and config.is_secure:
-            made = certificates.own(hosts)
-            certificate, self.authority = (made.file, made.key_file), made.ca_file
-        self._server = WebServer(config.host, config.port, certificate)
-        self.url = links.url(config, self._server.port)
+        self._server, hosts, self.url, self.authority = listen(config)
         self.feeds, self.stops = Feeds(), Stops(address, name)
         self.takes = Takes(data_folder(config.data), address.clock, self._tell_takes, is_judging=config.check)
         self._clock = address.clock
@@ -161,7 +153,7 @@ class Console:
             while not life.stopping:
                 frames = look.step(self.feeds.wanted)
                 if frames:
-                    self._call(self.feeds.put, frames)
+                    self._server.call(self.feeds.put, frames)
                 now_s = self._clock.monotonic_s()
                 for event in look.new_events():
                     if event.name.startswith("record-"):
@@ -208,14 +200,7 @@ class Console:
 
     def _post(self, told: Told) -> None:
         """Have all pages told something: an event, or that one of the whole states is new."""
-        self._call(self._pages.tell, told)
-
-    def _call(self, act: Any, *arguments: Any) -> None:
-        if (loop := self._server.loop) is not None:
-            try:
-                loop.call_soon_threadsafe(act, *arguments)
-            except RuntimeError:  # it is being closed
-                return
+        self._server.call(self._pages.tell, told)
 
 
 def version() -> str:

@@ -22,6 +22,9 @@ from station.life import stop_file
 Role = Literal["viewer", "operator"]
 ROLES: tuple[Role, ...] = ("viewer", "operator")
 
+DIGITS, CODE_S = 8, 300.0
+"""Digits of a code, and how often there is another [s]."""
+
 _BYTES = 24  # 192 bits, of which nobody guesses one
 
 
@@ -63,6 +66,23 @@ class Keyring:
             if hmac.compare_digest(self.token(role).encode(), token.encode("utf-8", "replace")):
                 return role
         return None
+
+    def code(self, now_s: float) -> str:
+        """Return the digits that let a page in as the operator, to be typed where a link cannot be opened.
+
+        Args:
+            now_s: Time since 1970 [s]; each code is good for `CODE_S` to twice that.
+        """
+        return self._code(int(now_s // CODE_S))
+
+    def is_code(self, code: str, now_s: float) -> bool:
+        """Whether a page may be let in by these digits now."""
+        window = int(now_s // CODE_S)
+        given = code.encode("utf-8", "replace")
+        return any(hmac.compare_digest(self._code(number).encode(), given) for number in (window, window - 1))
+
+    def _code(self, window: int) -> str:
+        return f"{int(self._mac(f'code {window}', self._secrets.tokens), 16) % 10**DIGITS:0{DIGITS}}"
 
     def is_stop_key(self, key: str) -> bool:
         """Whether a page may press the stop with this."""

@@ -1,4 +1,4 @@
-"""Where a console's page is, and the links that let a browser in."""
+"""Where a page is, and the links that let a browser in."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 from collections.abc import Sequence
 
 from station.bus.address import is_loopback
-from station.web.config import ConsoleConfig
+from station.web.config import PageConfig
 from station.web.keyring import ROLES, Keyring, Role
 
 EVERY = ("0.0.0.0", "::", "*")
@@ -33,7 +33,7 @@ def _addresses() -> list[str]:
     return [name for name in dict.fromkeys(found) if "%" not in name and not is_loopback(name)]
 
 
-def url(config: ConsoleConfig, port: int) -> str:
+def url(config: PageConfig, port: int) -> str:
     """Return where a page is that is served on a port; of an address that stands for all of them, on one of them."""
     host = names_of(config.host)[0] if config.host in EVERY else config.host
     return f"http{'s' * config.is_secure}://{f'[{host}]' if ':' in host else host}:{port}/"
@@ -44,7 +44,7 @@ def link(page: str, keyring: Keyring, role: Role) -> str:
     return f"{page}?token={keyring.token(role)}"
 
 
-def of(config: ConsoleConfig) -> dict[Role, str]:
+def of(config: PageConfig) -> dict[Role, str]:
     """Return the links of a console that is configured so, by role; none where it takes any port."""
     if not config.port:
         return {}

@@ -5,43 +5,37 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import getpass
-import json
 from collections import deque
 from collections.abc import Awaitable, Callable, Collection
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from station.printable import printable
 from station.web.asks import Ask
-from station.web.doorkeeper import Cookies, Doorkeeper
+from station.web.doorkeeper import Doorkeeper
 from station.web.keyring import Role
-from station.web.stops import Said
+from station.web.sign_in import PAGE, SignIn
+from station.web.sockets import SIGNED_OUT, object_of, serve_feeds, until_first
+from station.web.stop_route import StopRoute
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
     from station.web.console import Console
 
-PAGE = Path(__file__).with_name("page")
-
 MOST_SOCKETS = 64
 _MOST_EVENTS = 500  # that wait for a slow page
 _PER_S = 100  # messages of a page, beyond which it waits; a stop never does
 _TEXT = 500
 _WHOLE = ("state", "keys", "episodes")  # of these only the newest counts
-_SIGN_IN = (
-    "This page needs the link that the console printed where it was started: it ends in ?token=…\n"
-    "Open that link once; this browser is known from then on. `station console` prints it again.\n"
-)
 
 
 class Pages:
@@ -58,17 +52,19 @@ class Pages:
     """
 
     def __init__(self, console: Console, hosts: Collection[str], port: int, *, is_secure: bool) -> None:
-        self._console, self._cookies = console, Cookies(console.keyring, port, is_secure=is_secure)
+        self._console = console
+        self._sign_in = SignIn(console.keyring, PAGE / "index.html", port, is_secure=is_secure)
+        self._stop = StopRoute(console.stops, console.keyring)
         self._news: set[News] = set()
         self._sockets = 0
         self._holder: News | None = None
         routes = [
-            Route("/", self._page),
+            *self._sign_in.routes,
             Route("/api/me", self._me),
             Route("/api/scene", self._scene),
             Route("/api/episode", self._episode),
             Route("/api/episode/sheet", self._sheet),
-            Route("/stop", self._stop, methods=["POST"]),
+            self._stop.route,
             WebSocketRoute("/ws/news", self._join_news),
             WebSocketRoute("/ws/view", self._join_view),
             Mount("/page", StaticFiles(directory=PAGE)),
@@ -86,18 +82,6 @@ class Pages:
             page.tell(told)
 
     # -- Asked once ---------------------------------------------------------------------------------------------------
-    async def _page(self, request: Request) -> Response:
-        token = request.query_params.get("token")
-        if token is not None:
-            if self._console.keyring.role_of(token) is None:
-                return PlainTextResponse(f"This link is no longer valid.\n\n{_SIGN_IN}", 403)
-            answer: Response = RedirectResponse("/", 303)
-            answer.headers["set-cookie"] = self._cookies.header(token)
-            return answer
-        if self._role(request) is None:
-            return PlainTextResponse(_SIGN_IN, 401)
-        return FileResponse(PAGE / "index.html", headers={"cache-control": "no-cache"})
-
     async def _me(self, request: Request) -> Response:
         from station.web.console import version
 
@@ -125,29 +109,14 @@ class Pages:
         found = await run_in_threadpool(self._console.takes.sheet, request.query_params.get("id", ""))
         return _error("no pictures", 404) if found is None else Response(found, media_type="image/png")
 
-    async def _stop(self, request: Request) -> Response:
-        """Press the stop: with a cookie, or with the key that a page once got and that never expires."""
-        if not self._console.keyring.is_stop_key(request.headers.get("x-station-stop", "")):
-            return _error("no key of the stop; press the robot's own", 403)
-        try:
-            given = json.loads(await request.body())
-            press = str(given["id"])[:80]
-        except (ValueError, KeyError, TypeError):
-            return _error("expected an id", 400)
-        said = await self._press(press, request.client.host if request.client else "")
-        return _json(_said(press, said), 200 if said.outcome == "taken" else 503)
-
-    async def _press(self, press: str, where: str) -> Said:
-        return await asyncio.wrap_future(self._console.stops.press(press, f"console, a page on {printable(where, 60)}"))
-
-    def _role(self, request: Request | WebSocket) -> Role | None:
-        return self._cookies.role(request.scope)
+    def _role(self, request: HTTPConnection) -> Role | None:
+        return self._sign_in.role(request)
 
     # -- Sockets ------------------------------------------------------------------------------------------------------
     async def _join_news(self, socket: WebSocket) -> None:
         role = self._role(socket)
         if role is None or self._sockets >= MOST_SOCKETS:
-            await socket.close(4401 if role is None else 1013)
+            await socket.close(SIGNED_OUT if role is None else 1013)
             return
         await socket.accept()
         page = News(self, socket, role)
@@ -157,7 +126,7 @@ class Pages:
             self._holder = page
         page.tell({"t": "state"})
         try:
-            await _until_first(page.send(), page.receive())
+            await until_first(page.send(), page.receive())
         finally:
             self._sockets -= 1
             self._news.discard(page)
@@ -167,31 +136,14 @@ class Pages:
 
     async def _join_view(self, socket: WebSocket) -> None:
         if self._role(socket) is None or self._sockets >= MOST_SOCKETS:
-            await socket.close(4401)
+            await socket.close(SIGNED_OUT)
             return
         await socket.accept()
         self._sockets += 1
-        viewer = self._console.feeds.join()
-
-        async def send() -> None:
-            clock = self._console.address.clock
-            while True:
-                _, frame = await viewer.next()
-                await socket.send_bytes(frame.packed(clock.monotonic_s()))
-
-        async def receive() -> None:
-            while True:
-                said = _object(await socket.receive_text())
-                if isinstance(want := said.get("want"), list):
-                    viewer.want(str(name)[:200] for name in want)
-                if isinstance(got := said.get("got"), str):
-                    viewer.got(got)
-
         try:
-            await _until_first(send(), receive())
+            await serve_feeds(socket, self._console.feeds, self._console.address.clock)
         finally:
             self._sockets -= 1
-            self._console.feeds.leave(viewer)
 
     # -- For the sockets of news --------------------------------------------------------------------------------------
     def whole(self, page: News, name: str) -> dict[str, Any]:
@@ -227,7 +179,7 @@ class Pages:
         press = str(said.get("id", ""))[:80]
         if not press or not self._console.keyring.is_stop_key(str(said.get("key", ""))):
             return {"t": "stop", "id": press, "said": "not-taken", "text": "no key of the stop; press the robot's own"}
-        return {"t": "stop", **_said(press, await self._press(press, page.where))}
+        return {"t": "stop", **await self._stop.press(press, page.where)}
 
     async def _asked(self, page: News, ask: Ask) -> tuple[bool, str]:
         if page.role != "operator":
@@ -282,7 +234,7 @@ class News:
         allowed, loop = float(_PER_S), asyncio.get_running_loop()
         at_s = loop.time()
         while True:
-            said = _object(await self._socket.receive_text())
+            said = object_of(await self._socket.receive_text())
             kind, now_s = said.get("t"), loop.time()
             allowed, at_s = min(_PER_S, allowed + (now_s - at_s) * _PER_S) - 1, now_s
             if kind == "stop":
@@ -308,33 +260,6 @@ class News:
         text = _encoded(told)
         async with self._sending:
             await self._socket.send_text(text)
-
-
-async def _until_first(*jobs: Awaitable[None]) -> None:
-    """Run some jobs until the first of them ends, as it does when its page goes."""
-    tasks = [asyncio.ensure_future(job) for job in jobs]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-
-def _said(press: str, said: Said) -> dict[str, Any]:
-    return {"id": press, "said": said.outcome, "text": printable(said.text, _TEXT)}
-
-
-def _object(text: str) -> dict[str, Any]:
-    """Return the JSON object that a page said; an empty one for what is none."""
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _encoded(told: Any) -> str:

@@ -8,10 +8,13 @@ import logging
 import socket
 import ssl
 import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from station.errors import StationError
+from station.web import certificates, links
+from station.web.config import PageConfig
 
 if TYPE_CHECKING:
     import uvicorn
@@ -77,12 +80,52 @@ class WebServer:
         self._thread.start()
         begun.wait(_CLOSED_WITHIN_S)
 
+    def call(self, act: Callable[..., object], *arguments: object) -> None:
+        """Have something done in the event loop of the pages, soon; safe to call from any thread."""
+        if self.loop is not None:
+            try:
+                self.loop.call_soon_threadsafe(act, *arguments)
+            except RuntimeError:  # it is being closed
+                return
+
     def close(self) -> None:
         """Let go of all pages and of the port."""
         if self._server is not None and self._thread is not None:
             self._server.should_exit = True
             self._thread.join(_CLOSED_WITHIN_S)
         self._socket.close()
+
+
+class Listening(NamedTuple):
+    """A server that has its port.
+
+    Attributes:
+        server: To be started with the pages.
+        hosts: Names that a browser may open them as.
+        url: Where they are, without a token.
+        authority: File of the authority that a browser has to trust; None without TLS, or with a certificate of others.
+    """
+
+    server: WebServer
+    hosts: list[str]
+    url: str
+    authority: Path | None
+
+
+def listen(config: PageConfig) -> Listening:
+    """Take the port for some pages, with a certificate where they are served to other machines.
+
+    Raises:
+        StationError: the address or the port cannot be had, or the certificate cannot be used.
+    """
+    hosts = links.names_of(config.host, config.names)
+    authority: Path | None = None
+    certificate = None if config.certificate is None or config.key is None else (config.certificate, config.key)
+    if certificate is None and config.is_secure:
+        made = certificates.own(hosts)
+        certificate, authority = (made.file, made.key_file), made.ca_file
+    server = WebServer(config.host, config.port, certificate)
+    return Listening(server, hosts, links.url(config, server.port), authority)
 
 
 def _expect_certificate(file: Path, key_file: Path) -> None:

@@ -31,7 +31,7 @@ from tests.cli.running import Home, Running, one_line
 from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
-DEVICES = ["g1-remote", "gamepad", "gello", "glove", "keyboard", "natnet", "pico", "spacemouse"]
+DEVICES = ["g1-remote", "gamepad", "gello", "glove", "keyboard", "natnet", "pico", "spacemouse", "webxr"]
 CAMERAS = ["files", "mujoco", "realsense", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
@@ -245,7 +245,7 @@ def test_buttons_are_shown_with_what_a_file_changes(home: Home, tmp_path: Path) 
     assert mine["success"][0] == "right_grip, left_grip+left_trigger"
     assert mine["mark"][0] == "-"
     every = home.json("devices", "buttons")
-    assert list(every) == ["g1-remote", "gamepad", "keyboard", "pico", "spacemouse"]
+    assert list(every) == ["g1-remote", "gamepad", "keyboard", "pico", "spacemouse", "webxr"]
     assert every["keyboard"]["exit"] == ["key_q"]
     assert every["spacemouse"]["mark"] == []
 

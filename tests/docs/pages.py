@@ -148,6 +148,12 @@ PAGES = {
         "station console": Typed(elsewhere="tests/web/test_console.py, beside a bus"),
         "station up": Typed(elsewhere="tests/web/test_page.py, seen by a browser"),
     }, has_upstream_data=False),
+    "docs/webxr.md": Page({
+        "pip install": _INSTALLS,
+        "station up g1-sim-webxr --record": Typed(elsewhere="the next one, by a fake"),
+        "station pair": Typed(elsewhere="tests/web/test_console.py, beside a page"),
+        "adb": Typed(elsewhere="with a headset on a cable"),
+    }, has_upstream_data=False),
     "docs/foxglove.md": Page({
         "pip install": _INSTALLS,
         "station serve foxglove": Typed(elsewhere="tests/servers/test_foxglove.py, beside a bus"),

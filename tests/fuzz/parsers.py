@@ -31,6 +31,7 @@ from adapters.commands.arm import arm_command
 from adapters.devices.fakes.natnet import packets, person
 from adapters.devices.natnet import wire
 from adapters.devices.natnet.actor import Actor, NotAPerson
+from adapters.devices.webxr import frame as webxr_frame
 from adapters.exports.ros2 import messages as ros_messages_of_bags
 from adapters.exports.ros2 import ros_types
 from adapters.lcm import homie
@@ -58,7 +59,7 @@ from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import Write, not_mirrored
 from station.camera.source import Drops
-from station.cli import logs
+from station.cli import logs, pair
 from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
 from station.control.command_validator import CommandSample, CommandValidator, check_command
@@ -110,7 +111,7 @@ from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.clouds import log_cloud
 from station.view.progress import ProgressReader
-from station.web import asks, look, pages
+from station.web import asks, look, sockets
 from station.web.drawn_robot import DrawnRobot
 from tests.adapters.motions.made import smooth
 from tests.episode.filming import cloud
@@ -443,8 +444,13 @@ def _console(key: str, data: bytes) -> None:
         frame.packed(2.0)
 
 
+def _page_frame(data: bytes) -> None:
+    found = webxr_frame.sample_of(webxr_frame.parse(data), 0, {})
+    assert all(abs(value) <= 1.0 for value in found.controls.values())
+
+
 def _said_by_a_page(data: bytes) -> None:
-    msgspec.convert(pages._object(data.decode(errors="replace")), asks.Ask)
+    msgspec.convert(sockets.object_of(data.decode(errors="replace")), asks.Ask)
 
 
 # ---- the recorder ----
@@ -724,7 +730,11 @@ def _told() -> list[Parser]:
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
                ("station.view.phases", "station.view.live")),
         Parser("what a page says", _said_by_a_page, (b'{"id": "1", "what": "record.stop", "success": true}',),
-               ("station.web.pages",), (msgspec.ValidationError,)),
+               ("station.web.pages", "station.web.sockets"), (msgspec.ValidationError,)),
+        Parser("page of a server", pair.page_of, (
+            dumped(CONFIG | {"url": "http://a:1/"}), dumped({"device": {"page": "b"}})), ("station.cli.pair",)),
+        Parser("frame of a headset's page", _page_frame, (webxr_frame.packed(parts=24, taken_ms=1.0, sent_ms=2.0),),
+               ("adapters.devices.webxr.frame",), (webxr_frame.BadFrame,)),
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
         Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_robot",)),
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),

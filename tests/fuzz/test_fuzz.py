@@ -39,6 +39,7 @@ READS_FILES = {
     "station.suite.trial": "a configuration from the process that started it",
     "adapters.devices.fakes.pico.script": "the script of a fake",
     "adapters.devices.fakes.script": "the script of a fake",
+    "adapters.devices.fakes.webxr.wearer": "what a server says to a fake page of its own user",
     "adapters.exports.lerobot.dataset": "its own statistics of a shard",
     "adapters.exports.lerobot.finished": "a data set of its own",
     "adapters.foreign.twist2_file": "a recording of another recorder",

@@ -15,6 +15,7 @@ from tests.waiting import DEADLINE_S
 PAD = {"gamepad": "builtin:gamepad/example.json"}
 SCRIPTS: dict[str, dict[str, str]] = {
     "pico": {"pico": "builtin:pico/example.json"},
+    "webxr": {"webxr": "builtin:webxr/example.json"},
     "gamepad": PAD,
     "spacemouse": {"spacemouse": "builtin:spacemouse/example.json"},
     "gello": {"gello": "builtin:gello/g1.json"} | PAD,

@@ -23,6 +23,7 @@ from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
 from station.operator.device import Device, DeviceError
+from station.operator.device_kind import Source
 from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.examples import some
@@ -130,7 +131,8 @@ class Trial:
 
     def _start_device(self) -> Process:
         def main(_config: Config, life: Life) -> int:
-            return serve_device(life, self.pad.open, rate_hz=25.0, config={}, punctual=lambda: "as it was")
+            source = Source(open=self.pad.open)
+            return serve_device(life, source, rate_hz=25.0, config={}, punctual=lambda: "as it was")
 
         kind = ServerKind(name="gamepad", role="sensor", summary="", config=Config, main=main)
 

@@ -16,6 +16,7 @@ from station.life.server import Life, ServerKind
 from station.life.serving import serve
 from station.operator import sample as readings
 from station.operator.device import Device, DeviceError
+from station.operator.device_kind import Source
 from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.virtual.clock import VirtualClock
@@ -76,10 +77,13 @@ class Station:
         self._life = life
         return serve_device(
             life,
-            self._wheel.open,
+            Source(
+                open=self._wheel.open,
+                also=lambda reading: {"also": codec.json_object(dict(reading.controls))},
+                numbers=lambda: {"turned": self._wheel.turn},
+            ),
             rate_hz=100.0,
             config={"size": 3},
-            also=lambda reading: {"also": codec.json_object(dict(reading.controls))},
             on_active=lambda: {"wound_up": True},
             punctual=lambda: "not in a test's own process",
         )
@@ -196,7 +200,7 @@ def test_it_says_farewell_and_lets_go_of_the_device(station: Station, wheel: Whe
 
 def test_a_device_that_is_not_there_at_the_start_ends_the_server(wheel: Wheel, network: Network) -> None:
     def main(_config: Nothing, life: Life) -> int:
-        return serve_device(life, wheel.open, rate_hz=100.0, config={})
+        return serve_device(life, Source(open=wheel.open), rate_hz=100.0, config={})
 
     wheel.is_there = False
     kind = ServerKind(name="wheel", role="sensor", summary="", config=Nothing, main=main)

@@ -26,9 +26,10 @@ from station.bus.redis_server import RedisServer, ServerOptions
 from station.life import estop, events
 from station.life.server import Health
 from station.life.stop_file import StopFile
+from station.web.keyring import Keyring
 from tests import strider
 from tests.web.conftest import StartConsole
-from tests.web.console_process import PageSocket
+from tests.web.console_process import ConsoleProcess, PageSocket
 
 pytest.importorskip("starlette", reason="needs the extra 'console'")
 
@@ -161,6 +162,51 @@ def test_the_stop_outlives_links_and_a_restart(start_console: StartConsole, bus:
     body = json.dumps({"id": "late", "reason": "test"}).encode()
     assert second.ask("/stop", body=body, cookie="", X_Station_Stop=key)[0] == 200
     assert estop.latched(bus.read(estop.KEYS).get) is not None
+
+
+def _typed(console: ConsoleProcess, code: str) -> int:
+    return console.ask("/pair", body=json.dumps({"code": code}).encode(), cookie="nothing=1")[0]
+
+
+def test_a_code_lets_a_browser_in_as_the_operator(start_console: StartConsole) -> None:
+    console = start_console()
+    page = console.ask("/", cookie="nothing=1")
+    assert page[0] == 401
+    assert b"station pair" in page[1]
+    code = Keyring().code(time.time())
+    assert _typed(console, f" {code[:4]} {code[4:]}") == 200
+    assert _typed(console, "") == 403
+    assert console.ask("/pair", body=b"[1]", cookie="nothing=1")[0] == 403
+    assert console.ask("/pair", body=json.dumps({"code": code}).encode(), origin="http://127.0.0.1:1")[0] == 403
+
+
+def test_who_guesses_codes_is_stopped(start_console: StartConsole) -> None:
+    console = start_console()
+    told = [_typed(console, f"{number:08}") for number in range(12)]
+    assert told[:10] == [403] * 10
+    assert told[10:] == [429, 429]
+    assert _typed(console, Keyring().code(time.time())) == 429
+
+
+def test_pair_prints_what_lets_a_browser_in(start_console: StartConsole, bus_server: BusAddress) -> None:
+    console = start_console()
+    page = console.page()
+    page.state()
+    told = subprocess.run([sys.executable, "-m", "station", "pair", "--bus", bus_server.url], capture_output=True,
+                          text=True, check=True).stdout  # fmt: skip
+    page.close()
+    first, code, link = told.splitlines()
+    assert first == f"console: {console.origin}/"
+    assert _typed(console, code.split("code ")[1].split("  (")[0]) == 200
+    assert link == f"  link {console.links()['operator']}"
+
+
+def test_pair_says_that_there_is_no_page(bus_server: BusAddress, processes: None) -> None:
+    told = subprocess.run([sys.executable, "-m", "station", "pair", "headset", "--bus", bus_server.url],
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert told.returncode == 1
+    assert told.stderr.startswith("station: no server 'headset' serves a page on ")
+    assert "start one: `station console`, or a runbook with a webxr server" in told.stderr
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from station.errors import StationError
-from station.web.keyring import Keyring
+from station.web.keyring import CODE_S, DIGITS, Keyring
 
 
 def test_tokens_are_known_again_after_a_restart(tmp_path: Path) -> None:
@@ -34,6 +34,22 @@ def test_new_links_void_tokens_but_not_the_stop(tmp_path: Path) -> None:
     assert keyring.role_of(token) is None
     assert keyring.is_stop_key(stop_key)
     assert Keyring(tmp_path / "keys").role_of(token) is None
+
+
+def test_a_code_is_good_for_five_to_ten_minutes(tmp_path: Path) -> None:
+    keyring, now_s = Keyring(tmp_path / "keys"), 1_800_000_123.0
+    code = keyring.code(now_s)
+    assert len(code) == DIGITS
+    assert code.isdigit()
+    begins_s = now_s - now_s % CODE_S
+    for at_s, is_good in ((begins_s - 1, False), (begins_s, True), (begins_s + 2 * CODE_S - 1, True),
+                          (begins_s + 2 * CODE_S, False)):  # fmt: skip
+        assert keyring.is_code(code, at_s) is is_good
+    assert keyring.code(now_s + CODE_S) != code
+    for wrong in ("", code[:-1], f"{code}0", "é" * DIGITS):
+        assert not keyring.is_code(wrong, now_s)
+    keyring.renew()
+    assert not keyring.is_code(code, now_s)
 
 
 def test_the_file_is_this_users_alone(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import { uuid } from "./link.js";
 const AGAIN_MS = 100, NOT_TAKEN_MS = 350, NO_GATE_MS = 1500, FRESH_S = 0.9, NEWS_S = 0.8, MOST_POSTS = 3, POST_MS = 1000, RELEASE_S = 2;
 
 /** Sends presses until they are taken. */
-class Sender extends EventTarget {
+export class Sender extends EventTarget {
   /** @param {import("./link.js").Link} link */
   constructor(link) {
     super();

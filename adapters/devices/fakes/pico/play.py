@@ -83,14 +83,24 @@ class Wearer:
             number: Its number.
             began_ns: When the script began, on the headset's clock [ns].
         """
+        if (given := self.sample(number)) is None:
+            return None
+        stamped_s, reading = given
+        found = _as_sent(reading, began_ns + round(stamped_s * 1e9))
+        self._spoil(found, self.time_s(number), number)
+        return found
+
+    def sample(self, number: int) -> tuple[float, OperatorSample] | None:
+        """Return stamp [s, time of the script] and content of the frame of a number; None where none is sent."""
         time_s = self.time_s(number)
         if self.fault(time_s, "silence", "crash"):
             return None
         frozen = self.fault(time_s, "freeze")
-        stamped_s = frozen.at_s if frozen else time_s
-        found = _as_sent(self._reading(time_s, number), began_ns + round(stamped_s * 1e9))
-        self._spoil(found, time_s, number)
-        return found
+        return frozen.at_s if frozen else time_s, self._reading(time_s, number)
+
+    def spoilt(self, number: int) -> str:
+        """Return how the frame of a number is broken: ``torn``, ``poison``, or ""."""
+        return self._spoilt.get(number, "")
 
     def _reading(self, time_s: float, number: int) -> OperatorSample:
         reading = self._scene(time_s)
@@ -120,7 +130,7 @@ class Wearer:
             frame.pop("Body", None)
         if self.fault(time_s, "no-controllers"):
             frame.pop("Controller", None)
-        kind = self._spoilt.get(number)
+        kind = self.spoilt(number)
         if kind == "torn":
             del frame["Head"]["pose"]
         elif kind == "poison":

@@ -1,4 +1,7 @@
-"""The script of a fake headset, a JSON file; what it may hold is told in `adapters.devices.fakes.pico`."""
+"""The script of a fake headset, a JSON file; what it may hold is told in `adapters.devices.fakes.pico`.
+
+A headset's page (`adapters.devices.fakes.webxr`) plays the same scripts.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,17 @@ import msgspec
 
 from adapters.devices.fakes.script import file_of
 from adapters.devices.pico.controls import CONTROLS, RANGES
+from adapters.devices.webxr.controls import TOUCH_HOLD
 from station.bus.joints import HAND_26, SMPL_24
 from station.errors import BadFile, did_you_mean
 
 Numbers = list[float]
+Ranges = dict[str, tuple[float, float]]
 FaultKind = Literal["silence", "freeze", "crash", "jump", "no-body", "no-controllers", "torn", "poison"]
 
 _MOST_BYTES = 256 << 20  # ten minutes of a whole body at 72 Hz are about 150 MB
+_RANGES = {name: RANGES[control.kind] for name, control in CONTROLS.items()}
+_RANGES_OF = {"pico": _RANGES, "webxr": {**_RANGES, TOUCH_HOLD: (0.0, 1.0)}}  # by device, of each control
 _LENGTHS = {"head": 7, "left": 7, "right": 7}
 
 
@@ -68,7 +75,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What a fake headset plays."""
 
-    device: Literal["pico"] = "pico"
+    device: Literal["pico", "webxr"] = "pico"
     rate_hz: float = 72.0
     motion: str = ""
     height_m: float | None = None
@@ -80,8 +87,8 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     faults: list[Fault] = []
 
 
-def load(path: Path) -> Script:
-    """Read a script: a file, or ``collection:path`` (``builtin:pico/example.json``).
+def load(path: Path, device: Literal["pico", "webxr"] = "pico") -> Script:
+    """Read a script for a device: a file, or ``collection:path`` (``builtin:pico/example.json``).
 
     Raises:
         AssetMissing: the collection has no such file.
@@ -99,6 +106,8 @@ def load(path: Path) -> Script:
         ) from None
     try:
         script = msgspec.json.decode(data, type=Script)
+        if script.device != device:
+            raise _Wrong("device", f"expected '{device}', got '{script.device}'")
         _check(script)
     except (msgspec.ValidationError, _Wrong) as error:
         raise BadFile(f"{path}: {_plain(str(error))}") from None
@@ -136,21 +145,22 @@ def _check(script: Script) -> None:
         raise _Wrong("height_m", f"expected 0.5 to 2.5 m, got {script.height_m:g}")
     if script.motion and script.frames:
         raise _Wrong("frames", "expected either a motion or frames, got both")
+    ranges = _RANGES_OF[script.device]
     for index, frame in enumerate(script.frames):
-        _check_frame(frame, f"frames[{index}]")
+        _check_frame(frame, ranges, f"frames[{index}]")
         if index and frame.at_s <= script.frames[index - 1].at_s:
             raise _Wrong(
                 f"frames[{index}].at_s", f"expected more than {script.frames[index - 1].at_s:g}, got {frame.at_s:g}"
             )
     for index, control in enumerate(script.controls):
-        _check_control(control, f"controls[{index}]")
+        _check_control(control, ranges, f"controls[{index}]")
     for index, fault in enumerate(script.faults):
         _check_times(fault.at_s, fault.for_s, f"faults[{index}]")
         if len(fault.by_m) != 3:
             raise _Wrong(f"faults[{index}].by_m", f"expected 3 numbers [m], got {len(fault.by_m)}")
 
 
-def _check_frame(frame: KeyFrame, place: str) -> None:
+def _check_frame(frame: KeyFrame, ranges: Ranges, place: str) -> None:
     for name, length in _LENGTHS.items():
         _check_rows([getattr(frame, name)], 1, length, f"{place}.{name}")
     if frame.body is not None:
@@ -160,7 +170,7 @@ def _check_frame(frame: KeyFrame, place: str) -> None:
         for side in ("left", "right"):
             if (hand := getattr(frame.hands, side)) is not None:
                 _check_rows(hand, len(HAND_26), 7, f"{place}.hands.{side}")
-    _check_values(frame.controls, f"{place}.controls")
+    _check_values(frame.controls, ranges, f"{place}.controls")
 
 
 def _check_rows(rows: list[Any], count: int, length: int, place: str) -> None:
@@ -175,18 +185,18 @@ def _check_rows(rows: list[Any], count: int, length: int, place: str) -> None:
             raise _Wrong(place, "expected a quaternion w x y z of length 1 at the end")
 
 
-def _check_control(control: Control, place: str) -> None:
+def _check_control(control: Control, ranges: Ranges, place: str) -> None:
     _check_times(control.at_s, control.for_s, place)
     if bool(control.press) == bool(control.set):
         raise _Wrong(place, "expected either press or set")
-    _check_values({control.press: 1.0} if control.press else control.set, place)
+    _check_values({control.press: 1.0} if control.press else control.set, ranges, place)
 
 
-def _check_values(values: dict[str, float], place: str) -> None:
+def _check_values(values: dict[str, float], ranges: Ranges, place: str) -> None:
     for name, value in values.items():
-        if name not in CONTROLS:
-            raise _Wrong(place, f"no control '{name}'{did_you_mean(name, CONTROLS)}; known: {', '.join(CONTROLS)}")
-        low, high = RANGES[CONTROLS[name].kind]
+        if name not in ranges:
+            raise _Wrong(place, f"no control '{name}'{did_you_mean(name, ranges)}; known: {', '.join(ranges)}")
+        low, high = ranges[name]
         if not low <= value <= high:
             raise _Wrong(place, f"{name}: expected {low:g} to {high:g}, got {value:g}")
 

@@ -1,0 +1,204 @@
+"""A fake page: signs in with this user's secrets, answers for its clock, and sends frames on time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import ssl
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from adapters.devices.fakes.pico import script as scripts
+from adapters.devices.fakes.pico.play import Wearer
+from adapters.devices.webxr.controls import SENT, TOUCH_HOLD
+from adapters.devices.webxr.frame import PARTS, packed
+from adapters.retarget import frames
+from station.operator.sample import OperatorSample
+from station.protocols import Floats
+from station.stop_signals import set_on_signals
+from station.web.doorkeeper import Cookies
+from station.web.keyring import Keyring
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+_AGAIN_S = 0.1
+_SLICE_S = 0.1
+_CLOSED_WITHIN_S = 5.0
+_CLOCK_AHEAD_S = 0.125  # a page's clock begins with the page
+
+
+class FakePage:
+    """It, in a thread of its own; a context manager.
+
+    Args:
+        script: File of its script.
+        url: Of the page.
+        start_s: Time of the script to begin at [s].
+        authority: Of the page's certificate; None for the system's.
+
+    Raises:
+        BadFile: the script cannot be read; the message names file and field.
+    """
+
+    def __init__(self, script: Path, url: str, start_s: float = 0.0, authority: Path | None = None) -> None:
+        self._wearer = Wearer(scripts.load(script, "webxr"))
+        self._url, self._start_s, self._authority = url, start_s, authority
+        self._stop, self._go = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="fake-page", daemon=True)
+        self._thread.start()
+
+    def begin(self) -> None:
+        """Let the script begin."""
+        self._go.set()
+
+    def __enter__(self) -> FakePage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._go.set()
+        self._thread.join(_CLOSED_WITHIN_S)
+
+    def _run(self) -> None:
+        self._go.wait()
+        play(self._wearer, lambda: opened(self._url, self._authority), self._stop.is_set, start_s=self._start_s)
+
+
+def play(
+    wearer: Wearer,
+    open_page: Callable[[], contextlib.AbstractContextManager[ClientConnection]],
+    stopping: Callable[[], bool],
+    *,
+    start_s: float = 0.0,
+) -> None:
+    """Send the frames of a script on time until asked to stop, by a page that is opened again when it is gone.
+
+    Args:
+        wearer: Makes them.
+        open_page: Opens the page's socket.
+        stopping: Whether to stop; looked at ten times a second at least.
+        start_s: Time of the script to begin at [s].
+    """
+    from websockets.exceptions import WebSocketException
+
+    began_s = time.monotonic() - start_s
+    while not stopping():
+        if wearer.fault(time.monotonic() - began_s, "crash"):
+            time.sleep(_SLICE_S)
+            continue
+        try:
+            with open_page() as socket:
+                _send(wearer, socket, stopping, began_s)
+        except (OSError, WebSocketException):
+            time.sleep(_AGAIN_S)
+
+
+@contextlib.contextmanager
+def opened(url: str, authority: Path | None = None) -> Iterator[ClientConnection]:
+    """Open the socket of a page that drives, as this user's; it answers for its clock by itself."""
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+    from websockets.typing import Origin
+
+    port, is_secure = int(url.rstrip("/").rpartition(":")[2]), url.startswith("https:")
+    keyring = Keyring()
+    cookie = Cookies(keyring, port, is_secure=is_secure).header(keyring.token("operator")).partition(";")[0]
+    context = ssl.create_default_context(cafile=authority) if is_secure else None
+    where = f"ws{url.removeprefix('http')}ws/pose"
+    given = {"Cookie": cookie}
+    with connect(
+        where, origin=Origin(url.rstrip("/")), additional_headers=given, compression=None, ssl=context
+    ) as socket:
+
+        def answer() -> None:
+            with contextlib.suppress(ConnectionClosed):
+                for message in socket:
+                    said = json.loads(message)
+                    if said["t"] == "ping":
+                        socket.send(json.dumps({"t": "pong", "id": said["id"], "at_ms": page_ms()}))
+
+        answering = threading.Thread(target=answer, name="fake-page-clock", daemon=True)
+        answering.start()
+        yield socket
+    answering.join(_CLOSED_WITHIN_S)
+
+
+def page_ms() -> float:
+    """Return the time on a fake page's clock [ms]."""
+    return (time.monotonic() - _CLOCK_AHEAD_S) * 1e3
+
+
+def _send(wearer: Wearer, socket: ClientConnection, stopping: Callable[[], bool], began_s: float) -> None:
+    number = wearer.number(time.monotonic() - began_s)
+    while not stopping():
+        due_s = wearer.time_s(number)
+        while (left_s := began_s + due_s - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, _SLICE_S))
+            if stopping():
+                return
+        if wearer.fault(due_s, "crash"):
+            return
+        if (given := wearer.sample(number)) is not None:
+            stamped_s, sample = given
+            data = frame_of(sample, (began_s + stamped_s - _CLOCK_AHEAD_S) * 1e3, page_ms())
+            kind = wearer.spoilt(number)
+            socket.send(data[:100] if kind == "torn" else poisoned(data) if kind == "poison" else data)
+        number = wearer.next_number(number, time.monotonic() - began_s)
+
+
+def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
+    """Return a sample as a page sends it.
+
+    Args:
+        sample: In our axes.
+        taken_ms, sent_ms: When it was taken and leaves, on the page's clock [ms].
+    """
+    values: dict[str, Any] = {"taken_ms": taken_ms, "sent_ms": sent_ms}
+    for name in ("head", "left", "right"):
+        if (pose := getattr(sample, name)) is not None:
+            values[name] = _rows(np.concatenate([pose.position, pose.quat_wxyz])[np.newaxis])[0]
+    parts = sum(PARTS[name] for name in values if name in PARTS)
+    for side, hand in sample.hands.items():
+        values[f"hand_{side}"] = _rows(hand[1:])  # a page has no palm
+        parts |= PARTS[f"hand_{side}"]
+    if sample.controls:
+        signs = [-1.0 if name.endswith("stick_y") else 1.0 for name in SENT]
+        sent = [sign * sample.controls.get(name, 0.0) for name, sign in zip(SENT, signs, strict=True)]
+        values["controls"] = [*sent, sample.controls.get(TOUCH_HOLD, 0.0)]
+        parts |= PARTS["touch"] * (TOUCH_HOLD in sample.controls)
+        parts |= sum(PARTS[f"controls_{side}"] for side in ("left", "right") if getattr(sample, side) is not None)
+    return packed(parts=parts, **values)
+
+
+def poisoned(data: bytes) -> bytes:
+    """Return a frame whose head is nowhere."""
+    return packed(**{**_fields(data), "head": np.full(7, np.nan)})
+
+
+def _fields(data: bytes) -> dict[str, Any]:
+    from adapters.devices.webxr.frame import FRAME
+
+    frame = np.frombuffer(data, FRAME)[0]
+    return {name: frame[name] for name in FRAME.names or ()}
+
+
+def _rows(rows: Floats) -> Floats:
+    """Return poses (n, 7) of our axes, x y z qw qx qy qz, as WebXR has them: x y z qx qy qz qw."""
+    quats = frames.xyzw(frames.quats_from_flu(rows[:, 3:]))
+    return np.concatenate([frames.positions_from_flu(rows[:, :3]), quats], axis=-1)
+
+
+def play_for_person(file: Path, port: int) -> None:
+    """Play a script in a page of the server on a port of this machine, until Ctrl-C; raises as `FakePage`."""
+    stop = threading.Event()
+    set_on_signals(stop)
+    wearer = Wearer(scripts.load(file, "webxr"))
+    click.echo(f"a fake page opens http://127.0.0.1:{port}/; Ctrl-C takes it away", err=True)
+    play(wearer, lambda: opened(f"http://127.0.0.1:{port}/"), stop.is_set)

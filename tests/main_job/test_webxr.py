@@ -1,0 +1,74 @@
+"""A headset's browser, and a phone's, drive a robot, from the runbook to the audit (X5)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from station.bus import codec, keys
+from tests.cli.running import Home
+from tests.main_job.webxr_runs import Worn, drive
+from tests.servers.g1_station import LIGHT
+from tests.waiting import wait_until
+from tests.web import browser as browsers
+
+pytest.importorskip("mink", reason="needs the extra 'retarget'")
+
+pytestmark = pytest.mark.timeout(300)
+
+PATIENT = ("g1.gate.hold_after_s=5.0", "g1.gate.return_after_s=20.0", "g1.gate.blend_in_s=0.2")
+
+
+@pytest.fixture(scope="module")
+def browser(processes: None) -> Iterator[Any]:
+    browsers.expect_browser()
+    with browsers.driven() as driver, browsers.opened(driver, draws=True) as found:
+        yield found
+
+
+def test_x5_the_palms_of_a_robot_follow_the_hands_in_a_headset(tmp_path: Path, browser: Any, processes: None) -> None:
+    worn = Worn(Home(tmp_path), browser, "g1-sim-webxr", *PATIENT, *(f"g1.{each}" for each in LIGHT))
+    try:
+        wrong_m = drive(worn, 6.0)
+        worn.end()
+    finally:
+        worn.close()
+    assert float(np.median(wrong_m[20:])) < 0.06, "the arms lag behind by what the policy does"
+    audited = worn.home.json("audit", "latest")
+    assert (audited["different"], audited["observations"]["different"], audited["targets"]["different"]) == (0, 0, 0)
+    assert audited["steps"] > 100
+    checked = worn.home.json("check", "latest")
+    assert (checked["dropped"], checked["falls"]) == (0, 0)
+
+
+def test_a_thumb_on_a_phone_walks_a_robot_and_off_it_the_robot_stands(
+    tmp_path: Path, browser: Any, processes: None
+) -> None:
+    worn = Worn(
+        Home(tmp_path), browser, "g1-velocity-phone", "robot.gate.hold_after_s=5.0", "robot.gate.return_after_s=20.0"
+    )
+    try:
+        page = worn.page(has_headset=False, size=browsers.PHONE, has_touch=True)
+        wait_until(lambda: b'"live"' in (worn.bus.get(keys.operator_status("webxr")) or b""))
+        box = page.tab.locator("#pad-left").bounding_box()
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.tab.mouse.move(*middle)
+        page.tab.mouse.down()
+        worn.station.wait_for("operator-engaged")
+        page.tab.mouse.move(middle[0], middle[1] - box["height"])
+        place = lambda: codec.parse_f64(worn.bus.get(keys.sim_qpos("g1_29")) or b"")[:2]  # noqa: E731
+        start = place()
+        wait_until(lambda: np.linalg.norm(place() - start) > 0.5)
+        page.do("window.dispatchEvent(new Event('blur'))")  # another window, with the finger still down
+        worn.station.wait_for("operator-disengaged")
+        page.tab.mouse.up()
+        page.close()
+        worn.end()
+    finally:
+        worn.close()
+    checked = worn.home.json("check", "latest")
+    assert (checked["dropped"], checked["falls"]) == (0, 0)
