@@ -152,7 +152,6 @@ PAGES = {
         "pip install": _INSTALLS,
         "station up g1-sim-webxr --record": Typed(elsewhere="the next one, by a fake"),
         "station pair": Typed(elsewhere="tests/web/test_console.py, beside a page"),
-        "adb": Typed(elsewhere="with a headset on a cable"),
     }, has_upstream_data=False),
     "docs/foxglove.md": Page({
         "pip install": _INSTALLS,

@@ -48,14 +48,21 @@ export class Scene {
     [this.page.width, this.page.height] = WORDS_PX;
     this.words = "";
     this.words_until = 0;
+    this.urgent_until = 0;
     this.words_number = 0;
     this.drawn = 0;
   }
 
-  /** Shows a line for a while; an urgent one until the next. @param {string} words @param {boolean} is_urgent */
+  /**
+   * Shows a line for a while. An urgent one stays until the next, and for that while no other takes its place.
+   * @param {string} words @param {boolean} is_urgent
+   */
   say(words, is_urgent) {
+    const now = performance.now();
+    if (!is_urgent && now < this.urgent_until) return;
     this.words = words;
-    this.words_until = is_urgent ? Infinity : performance.now() + SHOWN_MS;
+    this.words_until = is_urgent ? Infinity : now + SHOWN_MS;
+    this.urgent_until = is_urgent ? now + SHOWN_MS : 0;
     const context = /** @type {CanvasRenderingContext2D} */ (this.page.getContext("2d"));
     context.clearRect(0, 0, this.page.width, this.page.height);
     context.fillStyle = is_urgent ? "rgb(165 15 22 / 92%)" : "rgb(12 17 22 / 80%)";
