@@ -5,27 +5,27 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import socket
 import statistics
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from station.bus import codec, keys
-from station.bus.address import BusAddress
+from station.bus import codec
 from station.bus.client import Bus
 from tests.figures import Figures
 from tests.waiting import wait_until
 from tests.web import browser as browsers
 from tests.web.browser import Page
+from tests.web.cameras import AT, cameras
 from tests.web.console_process import ConsoleProcess, PageSocket
 from tests.web.random_faults import Faults
+from tests.web.slow_line import slow_line
 from tests.web.standing import GATE, ROBOT, Standing
 
 pytest.importorskip("starlette", reason="needs the extra 'console'")
@@ -64,26 +64,6 @@ async def main(origin, cookie, wanted, count):
 
 asyncio.run(main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]), int(sys.argv[4])))
 """
-
-
-@contextlib.contextmanager
-def cameras(address: BusAddress, names: tuple[str, ...]) -> Iterator[None]:
-    """Write pictures of 42 kB, 30 times a second, for each camera."""
-    over, noise = threading.Event(), os.urandom(42_000)
-
-    def write() -> None:
-        with Bus(address, name="camera", timeout_s=5.0) as bus:
-            while not over.wait(1 / 30):
-                picture = b"\xff\xd8" + b"%020.6f" % (time.time() * 1e3) + noise  # a JPEG to nobody, with its time
-                bus.publish({keys.camera_image(name): picture for name in names})
-
-    thread = threading.Thread(target=write)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
 
 
 @contextlib.contextmanager
@@ -175,7 +155,7 @@ def test_on_a_slow_line_pictures_are_new_and_a_stop_is_answered(
         ages_ms, answers_ms = [], []
         for number in range(60):
             header, picture = view.frame()
-            ages_ms.append(time.time() * 1e3 - float(picture[2:22]))
+            ages_ms.append(time.time() * 1e3 - float(picture[AT]))
             view.say(got=header["f"])
             if number % 6 == 0:
                 pressed_s = time.monotonic()
@@ -187,53 +167,6 @@ def test_on_a_slow_line_pictures_are_new_and_a_stop_is_answered(
     proof.figure("a stop is answered on a line of 3 Mbit/s, p95", answer_ms, "ms", f"{SLOW_ANSWER_MS:g} ms")
     assert age_ms <= SLOW_AGE_MS
     assert answer_ms <= SLOW_ANSWER_MS
-
-
-@contextlib.contextmanager
-def slow_line(port: int, bytes_s: float) -> Iterator[int]:
-    """Give a port that leads to another one, so many bytes a second for all that it answers together."""
-    listener, over, lock = socket.create_server(("127.0.0.1", 0)), threading.Event(), threading.Lock()
-    free_s, ends, threads = [time.monotonic()], list[socket.socket](), list[threading.Thread]()
-
-    def begin(act: Callable[..., None], *arguments: Any, **more: Any) -> None:
-        threads.append(threading.Thread(target=act, args=arguments, kwargs=more))
-        threads[-1].start()
-
-    def pump(source: socket.socket, sink: socket.socket, *, is_slow: bool) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(1460):
-                if is_slow:
-                    with lock:  # one after the other, as on the air
-                        free_s[0] = max(free_s[0], time.monotonic()) + len(data) / bytes_s
-                        time.sleep(max(0.0, free_s[0] - time.monotonic()))
-                sink.sendall(data)
-        for end in (source, sink):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-
-    def accept() -> None:
-        while not over.is_set():
-            try:
-                near, _ = listener.accept()
-            except OSError:
-                return
-            far = socket.create_connection(("127.0.0.1", port))
-            ends.extend((near, far))
-            begin(pump, near, far, is_slow=False)
-            begin(pump, far, near, is_slow=True)
-
-    begin(accept)
-    try:
-        yield int(listener.getsockname()[1])
-    finally:
-        over.set()
-        for end in (listener, *ends):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-        for thread in threads:
-            thread.join()
-        for end in (listener, *ends):
-            end.close()
 
 
 def open_slow(console: ConsoleProcess, port: int, path: str) -> PageSocket:

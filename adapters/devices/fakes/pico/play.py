@@ -37,6 +37,8 @@ class Wearer:
 
     def __init__(self, script: Script) -> None:
         self._script, self._scene = script, scene_of(script)
+        named = (name for control in script.controls for name in (control.set or [control.press]))
+        self._at_rest = dict.fromkeys([*CONTROLS, *named], 0.0)
         self._is_recorded = bool(script.frames) and script.between == "hold"
         self._times_s = [frame.at_s for frame in script.frames] if self._is_recorded else []
         self._spoilt = {self.number(fault.at_s): fault.kind for fault in script.faults if fault.kind in _ONE_FRAME}
@@ -114,7 +116,7 @@ class Wearer:
             right=_trembling(reading.right, shake_m),
             body=reading.body,
             hands={side: _shaken(hand, shake_m) for side, hand in reading.hands.items()},
-            controls={**dict.fromkeys(CONTROLS, 0.0), **reading.controls, **self._controls(time_s)},
+            controls={**self._at_rest, **reading.controls, **self._controls(time_s)},
         )
 
     def _controls(self, time_s: float) -> dict[str, float]:

@@ -161,7 +161,8 @@ def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
         taken_ms, sent_ms: When it was taken and leaves, on the page's clock [ms].
     """
     values: dict[str, Any] = {"taken_ms": taken_ms, "sent_ms": sent_ms}
-    for name in ("head", "left", "right"):
+    is_phone = TOUCH_HOLD in sample.controls
+    for name in () if is_phone else ("head", "left", "right"):
         if (pose := getattr(sample, name)) is not None:
             values[name] = _rows(np.concatenate([pose.position, pose.quat_wxyz])[np.newaxis])[0]
     parts = sum(PARTS[name] for name in values if name in PARTS)
@@ -172,8 +173,9 @@ def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
         signs = [-1.0 if name.endswith("stick_y") else 1.0 for name in SENT]
         sent = [sign * sample.controls.get(name, 0.0) for name, sign in zip(SENT, signs, strict=True)]
         values["controls"] = [*sent, sample.controls.get(TOUCH_HOLD, 0.0)]
-        parts |= PARTS["touch"] * (TOUCH_HOLD in sample.controls)
-        parts |= sum(PARTS[f"controls_{side}"] for side in ("left", "right") if getattr(sample, side) is not None)
+        parts |= PARTS["touch"] * is_phone
+        sides = [side for side in ("left", "right") if is_phone or getattr(sample, side) is not None]
+        parts |= sum(PARTS[f"controls_{side}"] for side in sides)
     return packed(parts=parts, **values)
 
 

@@ -19,6 +19,7 @@ from station.life.stop_button import StopButton
 from tests.adapters.devices.webxr.headset_page import HeadsetPage, WebXRServer
 from tests.waiting import wait_until
 from tests.web import browser as browsers
+from tests.web.cameras import cameras
 
 pytest.importorskip("starlette", reason="needs the extra 'console'")
 pytest.importorskip("playwright", reason="needs playwright, of the extra 'test'")
@@ -38,8 +39,10 @@ def browser(processes: None) -> Iterator[Any]:
 
 
 @pytest.fixture
-def server(processes: None, bus_server: BusAddress, tmp_path: Path) -> Iterator[WebXRServer]:
-    found = WebXRServer(bus_server, tmp_path)
+def server(
+    processes: None, bus_server: BusAddress, tmp_path: Path, request: pytest.FixtureRequest
+) -> Iterator[WebXRServer]:
+    found = WebXRServer(bus_server, tmp_path, *getattr(request, "param", ()))
     yield found
     found.kill()
 
@@ -168,6 +171,16 @@ def test_what_happens_is_felt_and_read(server: WebXRServer, open_page: Open) -> 
     page.until("document.querySelector('#cues .urgent')?.textContent === 'emergency stop'")
     assert page.read("drivePage.headset.pulses") >= pulses + 2
     assert page.read("drivePage.headset.scene.words") == "emergency stop"
+
+
+@pytest.mark.parametrize("server", [("cameras=[head,wrist]",)], indirect=True)
+def test_each_eye_has_its_camera(server: WebXRServer, open_page: Open) -> None:
+    with cameras(server.bus.address, ("head", "wrist")):
+        page = open_page().enter()
+        page.until("drivePage.pictures.newest.size === 2 && drivePage.pictures.shown > 20")
+        page.until("drivePage.headset.scene.textures.size >= 2")
+        assert page.read("drivePage.pictures.of('left') !== drivePage.pictures.of('right')")
+        wait_until(lambda: server.state == "live")
 
 
 def test_its_stop_reaches_the_bus(server: WebXRServer, open_page: Open) -> None:
