@@ -16,8 +16,10 @@ from typing import Any
 
 import pytest
 
-from station.bus import codec
+from station.bus import codec, keys
 from station.bus.client import Bus
+from station.contract import TIMING_STAGES
+from station.episode.reading.steps import timing_row
 from tests.figures import Figures
 from tests.waiting import wait_until
 from tests.web import browser as browsers
@@ -34,6 +36,7 @@ PRESSES, VIEWERS = 40, 10
 P50_MS, P99_MS, CPU_PERCENT = 25.0, 70.0, 20.0
 HANDLER_P95_MS = 20.0
 ORDERS, WRONG_S = 100, 1.0
+ROUNDS, ROUND_S, LOOP_RATIO = 4, 8.0, 1.05
 SLOW_BYTES_S, SLOW_AGE_MS, SLOW_ANSWER_MS = 3e6 / 8, 300.0, 150.0
 
 pytestmark = pytest.mark.timeout(600)
@@ -64,6 +67,43 @@ async def main(origin, cookie, wanted, count):
 
 asyncio.run(main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]), int(sys.argv[4])))
 """
+
+
+def steps_us(g1: Standing, seconds: float) -> list[float]:
+    """Return how long each step of the loop takes in a time, from the state that it read to what it sent [us]."""
+    key = keys.policy_timing(ROBOT)
+    found, newest, until_s = list[float](), None, time.monotonic() + seconds
+    with g1.bus.watch([key]) as watch:
+        while time.monotonic() < until_s:
+            newest = watch.wait(key, after=newest, timeout_s=5.0)
+            assert newest is not None
+            row = timing_row(newest.value)
+            assert row is not None
+            found.append((row[2 + TIMING_STAGES.index("sent")] - row[2 + TIMING_STAGES.index("state_read")]) * 1e-3)
+    return found
+
+
+def test_the_control_loop_does_not_feel_a_console(proof: Figures, processes: None, tmp_path: Path) -> None:
+    wanted = [f"robot:{ROBOT}", "camera:head", "camera:wrist"]
+    alone_us, watched_us = list[float](), list[float]()
+    with contextlib.ExitStack() as stack:
+        g1 = stack.enter_context(contextlib.closing(Standing(tmp_path / "w")))
+        stack.enter_context(cameras(g1.address, ("head", "wrist")))
+        for _ in range(ROUNDS):
+            g1.console.kill()
+            alone_us += steps_us(g1, ROUND_S)
+            g1.console = g1.new_console()
+            with viewers(g1.console, wanted, VIEWERS):
+                news = stack.enter_context(contextlib.closing(g1.console.page("viewer")))
+                news.state(lambda state: state["desk"]["viewers"] > VIEWERS)
+                news.close()
+                watched_us += steps_us(g1, ROUND_S)
+    ratio = statistics.median(watched_us) / statistics.median(alone_us)
+    proof.figure("a step of the control loop beside a console with ten viewers, and without one, p50", ratio, "times",
+                 f"{LOOP_RATIO:g} times")  # fmt: skip
+    for what, values in (("alone", alone_us), ("beside a console", watched_us)):
+        proof.figure(f"a step {what}, p99", statistics.quantiles(values, n=100)[98], "us")
+    assert ratio <= LOOP_RATIO
 
 
 @contextlib.contextmanager
