@@ -29,6 +29,7 @@ from station.web.config import ConsoleConfig
 from station.web.feeds import Feeds
 from station.web.keyring import Keyring, Role
 from station.web.look import Look
+from station.web.players import Players
 from station.web.stops import Stops
 from station.web.takes import Takes
 from station.web.web_server import listen
@@ -64,7 +65,6 @@ class Console:
         self._config = config
         self._server, hosts, self.url, self.authority = listen(config)
         self.feeds, self.stops = Feeds(), Stops(address, name)
-        self.takes = Takes(data_folder(config.data), address.clock, self._tell_takes, is_judging=config.check)
         self._clock = address.clock
         self._look: Look | None = None
         self._station: Station | None = None
@@ -72,6 +72,8 @@ class Console:
         self._lock = threading.Lock()
         self._state: Told = _nothing_yet(address)
         self._pages = Pages(self, hosts, self._server.port, is_secure=config.is_secure)
+        self.takes = Takes(data_folder(config.data), address.clock, self._tell_takes, is_judging=config.check)
+        self.players = Players(self.takes.folder)
         self._server.start(self._pages.app)
 
     @property

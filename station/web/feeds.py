@@ -73,6 +73,7 @@ class Viewer:
     def __init__(self, feeds: Feeds) -> None:
         self._feeds = feeds
         self.wanted: frozenset[str] = frozenset()
+        self._own: dict[str, Frame] = {}  # of feeds that are this one's alone, until they go out
         self._sent: dict[str, int] = {}  # number of the last frame of a feed
         self._under_way: set[str] = set()
         self._woken = asyncio.Event()
@@ -89,6 +90,19 @@ class Viewer:
         self._under_way.discard(name)
         self._woken.set()
 
+    def put(self, frame: Frame) -> None:
+        """Take a newer frame of a feed that is this viewer's alone."""
+        self._own[frame.facts["f"]] = frame
+        self._woken.set()
+
+    def is_waiting(self, name: str) -> bool:
+        """Whether a frame of a feed of its own has not gone out yet."""
+        return name in self._own
+
+    def drop(self) -> None:
+        """Forget the frames of its own."""
+        self._own.clear()
+
     def wake(self, names: Iterable[str]) -> None:
         """Look for what is new, where any of these feeds is followed and free."""
         if any(name in self.wanted and name not in self._under_way for name in names):
@@ -96,6 +110,10 @@ class Viewer:
 
     def take(self) -> tuple[str, Frame] | None:
         """Return the next frame that may go out now, the one of the feed that waited longest; None where none may."""
+        for name in self._own:
+            if name in self.wanted and name not in self._under_way:
+                self._under_way.add(name)
+                return name, self._own.pop(name)
         ready = [
             (self._sent.get(name, 0), name)
             for name in self.wanted - self._under_way

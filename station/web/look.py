@@ -41,6 +41,8 @@ FROZEN_S = 0.5
 _LOOK_S, _COUNT_S, _ASK_S = 0.5, 1.0, 0.2
 _LINKED_S = 0.5  # since the bus last answered
 _LONGEST = 300  # characters of a text from the bus
+_STOP = "stop"  # level of an alarm that says that robots were stopped; to a page it is an error
+_LEVELS = {_STOP: "error"}
 _GATES_TOLD = ("holding", "returning", "stopped")
 _MOST_STEPS = 200  # of a runbook
 _LARGEST_JSON = 2000  # of a server's own words
@@ -235,7 +237,12 @@ class Look:
         levels = {text: level for level, text in told}
         self._alarms = {text: self._alarms.get(text, now_s) for text in levels}
         return [
-            {"level": levels[text], "text": text, "since_s": round(now_s - since_s, 1)}
+            {
+                "level": _LEVELS.get(levels[text], levels[text]),
+                "is_stop": levels[text] == _STOP,
+                "text": text,
+                "since_s": round(now_s - since_s, 1),
+            }
             for text, since_s in self._alarms.items()
         ]
 
@@ -356,7 +363,7 @@ def _alarms(
     if not bus["linked"]:
         yield "error", f"the bus does not answer: {bus['reason']}"
     if stop is not None:
-        yield "error", f"the emergency stop is latched ({stop['reason']})"
+        yield _STOP, f"the emergency stop is latched ({stop['reason']})"
     for server in servers if bus["linked"] else ():  # else nothing is known of them
         if not server["is_alive"] and server["state"] != "finalized":
             yield "error", f"server {server['name']} is silent: it died, or it is frozen"
@@ -365,7 +372,7 @@ def _alarms(
     for robot in robots:
         if robot["gate"] in _GATES_TOLD:
             why = f" ({robot['reason']})" if robot["reason"] else ""
-            yield "error" if robot["gate"] == "stopped" else "warning", f"robot {robot['name']} is {robot['gate']}{why}"
+            yield _STOP if robot["gate"] == "stopped" else "warning", f"robot {robot['name']} is {robot['gate']}{why}"
     yield from _recorder_alarms(recorder or {})
     for camera in cameras:
         if camera["age_s"] > FROZEN_S:

@@ -141,7 +141,7 @@ class Pages:
         await socket.accept()
         self._sockets += 1
         try:
-            await serve_feeds(socket, self._console.feeds, self._console.address.clock)
+            await serve_feeds(socket, self._console.feeds, self._console.address.clock, self._console.players)
         finally:
             self._sockets -= 1
 

@@ -6,20 +6,31 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Awaitable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from station.clock import Clock
 from station.web.feeds import Feeds
 
+if TYPE_CHECKING:
+    from station.web.players import Players
+
 SIGNED_OUT = 4401
 """Code of a socket that is closed because its page was not let in."""
 
 
-async def serve_feeds(socket: WebSocket, feeds: Feeds, clock: Clock) -> None:
-    """Send a page the frames that it asks for, one of each feed under way, until it goes."""
+async def serve_feeds(socket: WebSocket, feeds: Feeds, clock: Clock, players: Players | None = None) -> None:
+    """Send a page the frames that it asks for, one of each feed under way, until it goes.
+
+    Args:
+        socket: Of the page.
+        feeds: What is live.
+        clock: For the age of what is sent.
+        players: Play episodes to it; None for a page that shows none.
+    """
     viewer = feeds.join()
+    playback = None if players is None else players.join(viewer)
 
     async def send() -> None:
         while True:
@@ -33,10 +44,16 @@ async def serve_feeds(socket: WebSocket, feeds: Feeds, clock: Clock) -> None:
                 viewer.want(str(name)[:200] for name in want)
             if isinstance(got := said.get("got"), str):
                 viewer.got(got)
+                if playback is not None:
+                    playback.got(got)
+            if playback is not None and "play" in said:
+                playback.ask(said["play"])
 
     try:
         await until_first(send(), receive())
     finally:
+        if playback is not None:
+            playback.close()
         feeds.leave(viewer)
 
 

@@ -86,6 +86,21 @@ class Takes:
         reasons = [] if quality is None else [printable(str(reason.text), _TEXT) for reason in quality.reasons]
         return {**_plain(row), "reasons": reasons, "figures": _figures(row), "has_sheet": row.state == "finished"}
 
+    def folder(self, episode: str) -> Path:
+        """Return the folder of an episode.
+
+        Raises:
+            EpisodeError: there is none, or it is still being recorded, or nothing of it can be read.
+        """
+        row = self._row(episode)
+        if row is None:
+            raise EpisodeError("no such episode among the newest; it was moved, or deleted")
+        if row.state == "recording":
+            raise EpisodeError("it is still being recorded; it can be played once it is closed")
+        if row.state == "broken":
+            raise EpisodeError(f"it is broken: {row.problem}")
+        return Path(row.path).absolute()
+
     def sheet(self, episode: str) -> bytes | None:
         """Return the contact sheet of an episode as PNG, drawn where there is none; None where that cannot be.
 

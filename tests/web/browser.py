@@ -17,6 +17,7 @@ from tests.waiting import wait_until
 
 PROGRAMS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 NO_BROWSER = "needs a browser: apt-get install chromium-headless-shell"
+AXE = Path(__file__).with_name("vendor") / "axe.min.js"
 DESKTOP, TABLET, PHONE, SMALL = (1440, 900), (820, 1180), (390, 844), (320, 568)
 
 
@@ -131,6 +132,12 @@ class Page:
         self.tab.mouse.down()
         self.tab.wait_for_timeout(seconds * 1e3)
         self.tab.mouse.up()
+
+    def violations(self) -> list[Any]:
+        """Return what keeps somebody from using it, as axe finds it; a page with a policy needs ``bypass_csp``."""
+        self.tab.evaluate(AXE.read_text(encoding="utf-8"))
+        found = "async () => (await axe.run()).violations.map(v => [v.id, v.nodes.map(n => n.html)])"
+        return list(self.tab.evaluate(found))
 
     def close(self) -> None:
         """Close it."""

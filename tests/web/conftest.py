@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from tests.web import browser as browsers
+from tests.web.browser import DESKTOP, Page
 from tests.web.console_process import ConsoleProcess, PageSocket
 
 StartConsole = Callable[..., ConsoleProcess]
+Open = Callable[..., Page]
 
 
 @pytest.fixture
@@ -45,3 +49,54 @@ def closing() -> Iterator[Callable[[PageSocket], PageSocket]]:
             return page
 
         yield keep
+
+
+@pytest.fixture(scope="module")
+def driver(processes: None) -> Iterator[Any]:
+    """What drives browsers."""
+    browsers.expect_browser()
+    with browsers.driven() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def browser(driver: Any) -> Iterator[Any]:
+    """A browser."""
+    with browsers.opened(driver) as found:
+        yield found
+
+
+@contextlib.contextmanager
+def _pages(browser: Any) -> Iterator[Open]:
+    with contextlib.ExitStack() as stack:
+        opened: list[Page] = []
+
+        def begin(link: str, size: tuple[int, int] = DESKTOP, **more: Any) -> Page:
+            made = Page(browser, link, size, **more)
+            stack.callback(made.close)
+            opened.append(made)
+            return made
+
+        yield begin
+        assert [trouble for page in opened for trouble in page.trouble] == []
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    """Open pages that are closed at the end, and in which nothing went wrong."""
+    with _pages(browser) as begin:
+        yield begin
+
+
+@pytest.fixture(scope="module")
+def drawing_browser(driver: Any) -> Iterator[Any]:
+    """A browser with WebGL."""
+    with browsers.opened(driver, draws=True) as found:
+        yield found
+
+
+@pytest.fixture
+def open_drawn(drawing_browser: Any) -> Iterator[Open]:
+    """As `open_page`, with the robot in 3D."""
+    with _pages(drawing_browser) as begin:
+        yield begin

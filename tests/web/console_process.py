@@ -107,6 +107,19 @@ class ConsoleProcess:
         self.process.wait()
 
 
+def players(folder: Path) -> list[int]:
+    """Return the processes that play an episode."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"station.web.player" in words and bytes(folder.absolute()) in words:
+            found.append(int(path.parent.name))
+    return found
+
+
 class PageSocket:
     """A socket of a page: what it is told, by kind."""
 

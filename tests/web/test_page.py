@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,8 @@ from station.episode.reading.reader import open_episode
 from station.life import estop, events
 from tests.main_job.station_runs import Terminal
 from tests.waiting import bus_answers, wait_until
-from tests.web import browser as browsers
 from tests.web.browser import DESKTOP, PHONE, SMALL, TABLET, Page
-from tests.web.conftest import StartConsole
+from tests.web.conftest import Open, StartConsole
 from tests.web.console_process import ConsoleProcess
 from tests.web.random_faults import Faults
 from tests.web.standing import GATE, ROBOT, Standing
@@ -31,24 +30,6 @@ pytest.importorskip("starlette", reason="needs the extra 'console'")
 
 HOSTILE = '<img src=x onerror="window.hit=1"><script>window.hit=1</script>'
 PAGE = Path(__file__).parents[2] / "station/web/page"
-AXE = Path(__file__).with_name("vendor") / "axe.min.js"
-
-Open = Callable[..., Page]
-
-
-@pytest.fixture(scope="module")
-def driver(processes: None) -> Iterator[Any]:
-    """What drives browsers."""
-    browsers.expect_browser()
-    with browsers.driven() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def browser(driver: Any) -> Iterator[Any]:
-    """A browser."""
-    with browsers.opened(driver) as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -56,42 +37,6 @@ def g1(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     """A station that the tests of this module share."""
     with contextlib.closing(Standing(tmp_path_factory.mktemp("w") / "w")) as made:
         yield made
-
-
-@contextlib.contextmanager
-def _pages(browser: Any) -> Iterator[Open]:
-    with contextlib.ExitStack() as stack:
-        opened: list[Page] = []
-
-        def begin(link: str, size: tuple[int, int] = DESKTOP, **more: Any) -> Page:
-            made = Page(browser, link, size, **more)
-            stack.callback(made.close)
-            opened.append(made)
-            return made
-
-        yield begin
-        assert [trouble for page in opened for trouble in page.trouble] == []
-
-
-@pytest.fixture
-def open_page(browser: Any) -> Iterator[Open]:
-    """Open pages that are closed at the end, and in which nothing went wrong."""
-    with _pages(browser) as begin:
-        yield begin
-
-
-@pytest.fixture(scope="module")
-def drawing_browser(driver: Any) -> Iterator[Any]:
-    """A browser with WebGL."""
-    with browsers.opened(driver, draws=True) as found:
-        yield found
-
-
-@pytest.fixture
-def open_drawn(drawing_browser: Any) -> Iterator[Open]:
-    """As `open_page`, with the robot in 3D."""
-    with _pages(drawing_browser) as begin:
-        yield begin
 
 
 def _operator(console: ConsoleProcess) -> str:
@@ -206,7 +151,7 @@ def test_c13_the_stop_is_in_view_and_everybody_can_use_the_page(
     assert box["y"] + box["height"] <= size[1]
     assert box["x"] + box["width"] <= size[0]
     assert page.read("document.documentElement.scrollWidth <= innerWidth + 1")
-    assert _violations(page) == []
+    assert page.violations() == []
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -219,16 +164,9 @@ def test_c13_what_is_old_can_be_read_too(g1: Standing, open_page: Open, scheme: 
     g1.console.freeze()
     try:
         page.until("stationPage.stop.kind === 'no-link' && document.querySelectorAll('#robots .old').length")
-        assert _violations(page) == []
+        assert page.violations() == []
     finally:
         g1.console.thaw()
-
-
-def _violations(page: Page) -> list[Any]:
-    page.tab.evaluate(AXE.read_text(encoding="utf-8"))
-    return list(
-        page.tab.evaluate("async () => (await axe.run()).violations.map(v => [v.id, v.nodes.map(n => n.html)])")
-    )
 
 
 def test_c13_the_keyboard_reaches_everything(g1: Standing, open_page: Open) -> None:

@@ -78,9 +78,17 @@ class Part:
         Raw pictures and clouds are the typed messages around them, as they stand in the file.
         """
         if not stamps:
-            return self._messages(topics, raw=raw)
-        found = _join_stamps(self._messages(None, raw=raw, pictures_of=topics, bookkeeping=True), self._first_id)
+            return self._messages(self.contents.chunks, topics, raw=raw)
+        found = self._messages(self.contents.chunks, None, raw=raw, pictures_of=topics, bookkeeping=True)
+        found = _join_stamps(found, self._first_id)
         return (message for message in found if topics is None or message.topic in topics)
+
+    def from_instant(self, topics: frozenset[str] | None, from_ns: int) -> Iterator[Message]:
+        """Iterate over the messages of some topics from the first chunk on that reaches to a log time [ns].
+
+        Only of a finished file: its summary says what the channels are that earlier chunks describe.
+        """
+        return self._messages((place for place in self.contents.chunks if place.end_ns >= from_ns), topics)
 
     def in_log_order(
         self, topics: frozenset[str] | None, *, stamps: bool = False, raw: bool = False
@@ -90,8 +98,8 @@ class Part:
             return iter(sorted(self.in_file_order(topics, stamps=True, raw=raw), key=_log_ns))
         return self._merged_chunks(topics, raw=raw)
 
-    def _messages(self, topics: frozenset[str] | None, **how: Any) -> Iterator[Message]:
-        for _, messages in self._chunks(self.contents.chunks, topics, **how):
+    def _messages(self, places: Iterable[ChunkPlace], topics: frozenset[str] | None, **how: Any) -> Iterator[Message]:
+        for _, messages in self._chunks(places, topics, **how):
             yield from messages
 
     def _merged_chunks(self, topics: frozenset[str] | None, *, raw: bool) -> Iterator[Message]:

@@ -146,6 +146,18 @@ class EpisodeReader:
             found = [part.in_file_order(wanted, stamps=stamps, raw=raw) for part in parts]
         return reduce(_merged, found) if found else iter(())
 
+    def messages_from(self, topics: Collection[str], from_ns: int) -> Iterator[Message]:
+        """Iterate over messages of some topics in file order from a log time [ns] on, and some from shortly before it.
+
+        What lies before is not read. Only of an episode whose files are finished.
+
+        Raises:
+            EpisodeError: a chunk in the middle of a file is damaged.
+        """
+        wanted = frozenset(topics)
+        found = [part.from_instant(wanted, from_ns) for part in self.parts if part.may_hold(wanted)]
+        return reduce(_merged, found) if found else iter(())
+
     def collect(self, topics: Collection[str]) -> dict[str, list[Message]]:
         """Return the messages of some topics in file order, in one pass; a topic without messages has an empty list."""
         found: dict[str, list[Message]] = {topic: [] for topic in topics}

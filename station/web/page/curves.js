@@ -21,8 +21,12 @@ export class Curves {
     /** @type {{joint: number, plot: any, value: any, node: any}[]} */
     this.rows = [];
     this.drawn = 0;
-    this.is_own_choice = false;
+    /** Joints that somebody chose, also while none of them is there. @type {string[]} */
+    this.own_choice = [];
     this.looked_s = -Infinity;
+    /** What time it is on the curves' axis [s]: now, or where an episode is. */
+    this.clock = () => performance.now() / 1000;
+    this.zero = "now";
     view.addEventListener("robot", (/** @type {any} */ event) => this.setRobot(event.detail));
     view.addEventListener("joints", (/** @type {any} */ event) => this.add(event.detail));
     document.addEventListener("theme", () => this.rebuild());
@@ -38,9 +42,16 @@ export class Curves {
     this.joints = scene.joints;
     this.unit = brief(scene.unit, 8) || "rad";
     this.frames = [];
-    this.is_own_choice = false;
-    this.choose([]);
+    this.looked_s = -Infinity;
+    this.choose(this.own_choice.map((name) => this.joints.indexOf(name)).filter((joint) => joint >= 0));
     this.makePicker();
+  }
+
+  /** What was before, after time jumped. @param {any[]} frames in order */
+  setPast(frames) {
+    this.frames = [];
+    this.looked_s = -Infinity;
+    for (const frame of frames) this.add(frame);
   }
 
   /** @param {any} frame */
@@ -51,7 +62,7 @@ export class Curves {
     this.frames.push(frame);
     const first_s = frame.at_s - SPAN_S - 0.5;
     while (this.frames.length > MOST_FRAMES || this.frames[0].at_s < first_s) this.frames.shift();
-    if (!this.is_own_choice && frame.at_s - this.looked_s > CHOOSE_AFTER_S && frame.at_s - this.frames[0].at_s > CHOOSE_AFTER_S) this.chooseItself(frame.at_s);
+    if (!this.own_choice.length && frame.at_s - this.looked_s > CHOOSE_AFTER_S && frame.at_s - this.frames[0].at_s > CHOOSE_AFTER_S) this.chooseItself(frame.at_s);
   }
 
   /** Shows the joints that move; stays with those that it shows for as long as they do. @param {number} now_s */
@@ -76,7 +87,7 @@ export class Curves {
   makePicker() {
     const most = el("button", "", "The most moving");
     most.type = "button";
-    most.addEventListener("click", () => { this.is_own_choice = false; this.choose(this.mostMoving()); });
+    most.addEventListener("click", () => { this.own_choice = []; this.choose(this.mostMoving()); });
     const groups = [...byLimb(this.joints)].map(([limb, places]) => {
       const group = el("fieldset", "", undefined, el("legend", "", limb));
       for (const place of places) {
@@ -84,8 +95,8 @@ export class Curves {
         box.type = "checkbox";
         box.value = String(place);
         box.addEventListener("change", () => {
-          this.is_own_choice = true;
           this.choose(box.checked ? [...this.chosen, place].slice(-MOST_CHOSEN) : this.chosen.filter((other) => other !== place));
+          this.own_choice = this.chosen.map((joint) => this.joints[joint]);
         });
         const name = words(this.joints[place]), side = limb.toLowerCase().split(" ")[0];
         group.append(el("label", "", undefined, box, el("span", "", limb.includes(" ") && name.startsWith(`${side} `) ? name.slice(side.length + 1) : name)));
@@ -125,7 +136,7 @@ export class Curves {
           } },
         },
         axes: [
-          { ...axis, size: is_last ? 22 : 0, show: is_last, space: 60, values: (/** @type {any} */ _, /** @type {number[]} */ at) => at.map((s) => (s === 0 ? "now" : `${s} s`)) },
+          { ...axis, size: is_last ? 22 : 0, show: is_last, space: 60, values: (/** @type {any} */ _, /** @type {number[]} */ at) => at.map((s) => (s === 0 ? this.zero : `${s} s`)) },
           { ...axis, size: 40, space: 26 },
         ],
         series: [
@@ -170,7 +181,7 @@ export class Curves {
   draw(is_forced = false) {
     const { frames } = this;
     if (!this.rows.length || !frames.length || (document.hidden && !is_forced)) return;
-    this.now_s = performance.now() / 1000;
+    this.now_s = this.clock();
     const times = new Array(frames.length);
     for (let i = 0; i < frames.length; i += 1) times[i] = frames[i].at_s - this.now_s;
     // Nothing is drawn across a hole in the data as if it had been measured.

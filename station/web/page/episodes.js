@@ -9,8 +9,9 @@ const MOST = 200, VERDICTS = new Set(["good", "usable", "reject", "discarded", "
 const badge = (verdict) => `badge ${VERDICTS.has(String(verdict)) ? verdict : ""}`.trim();
 
 export class Episodes {
-  /** @param {import("./link.js").Link} link */
-  constructor(link) {
+  /** @param {import("./link.js").Link} link @param {(id: string, opener: any) => void} play */
+  constructor(link, play) {
+    this.play = play;
     this.panel = byId("episode");
     /** @type {any} */
     this.opener = null;
@@ -71,9 +72,22 @@ export class Episodes {
     manifest.tabIndex = 0;
     body.replaceChildren(
       el("p", "line", undefined, el("span", badge(detail.verdict), brief(detail.verdict, 16) || "unchecked"), el("b", "", brief(detail.task, 120))),
-      reasons, figures);
+      el("div", "buttons", undefined, this.playButton(id)), reasons, figures);
     if (detail.has_sheet) this.sheet(body, id);
     body.append(el("details", "", undefined, el("summary", "", "Manifest"), manifest));
+  }
+
+  /** @param {string} id */
+  playButton(id) {
+    const button = el("button", "primary", "Play");
+    button.type = "button";
+    button.id = "episode-play";
+    button.addEventListener("click", () => {
+      const { opener } = this;
+      this.close();
+      this.play(id, opener);
+    });
+    return button;
   }
 
   /** @param {any} body @param {string} id */

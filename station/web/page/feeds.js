@@ -4,8 +4,9 @@ import { socketUrl } from "./link.js";
 
 const FIRST_WAIT_MS = 250, LONGEST_WAIT_MS = 1000, LONGEST_HEADER = 65536, SILENT_MS = 10000;
 
-export class Feeds {
+export class Feeds extends EventTarget {
   constructor() {
+    super();
     /** @type {Map<string, (header: any, payload: ArrayBuffer, offset: number) => void | Promise<void>>} */
     this.wanted = new Map();
     /** Frames that came, by feed. @type {Map<string, number>} */
@@ -33,8 +34,13 @@ export class Feeds {
     if (this.wanted.delete(feed)) this.tell();
   }
 
-  tell() {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ want: [...this.wanted.keys()] }));
+  tell() { this.say({ want: [...this.wanted.keys()] }); }
+
+  /** @param {object} message @returns {boolean} whether it left the page */
+  say(message) {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
   }
 
   connect() {
@@ -42,7 +48,11 @@ export class Feeds {
     try { socket = new WebSocket(socketUrl("/ws/view")); } catch { setTimeout(() => this.connect(), LONGEST_WAIT_MS); return; }
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => { if (this.socket === socket) this.tell(); };
+    socket.onopen = () => {
+      if (this.socket !== socket) return;
+      this.tell();
+      this.dispatchEvent(new Event("open"));
+    };
     socket.onclose = () => { if (this.socket === socket) this.drop(); };
     socket.onmessage = (message) => { if (this.socket === socket) this.take(socket, message.data); };
   }

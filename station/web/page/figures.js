@@ -28,6 +28,12 @@ export function clock(seconds) {
   return hours ? `${hours}:${tail}` : tail;
 }
 
+/** @param {unknown} seconds an instant of an episode, to the hundredth; one before its start has a minus */
+export function moment(seconds) {
+  const hundredths = Math.round(Math.abs(number(seconds, 0)) * 100), minutes = Math.floor(hundredths / 6000);
+  return `${number(seconds, 0) < 0 && hundredths ? "−" : ""}${minutes}:${((hundredths % 6000) / 100).toFixed(2).padStart(5, "0")}`;
+}
+
 /** @param {unknown} bytes */
 export function size(bytes) {
   const b = number(bytes);

@@ -42,11 +42,15 @@ Object.defineProperty(window, "stationPage", {
     get link() { return { is_up: link.is_up, round_trip_ms: link.round_trip_ms, silence_s: link.silence_s, reconnects: link.reconnects, heard_ms: performance.now() - link.heard_at }; },
     get state() { return link.state ? structuredClone(link.state) : null; },
     /** Whether every panel was made. */
-    get is_ready() { return "curves" in parts; },
+    get is_ready() { return "playback" in parts; },
     get is_known() { return stop.sender.me.key !== ""; },
     get role() { return desk.role; },
     get why_not() { return desk.why_not; },
     get frames() { return Object.fromEntries(parts.feeds?.counts ?? []); },
+    /** What is shown of an episode; null where what is shown is live. */
+    get playback() { return parts.playback?.summary ?? null; },
+    /** Tones that were begun and ended, and how often it vibrated. */
+    get sound() { return { is_on: parts.sound?.is_on ?? false, ...parts.sound?.begun, ended: parts.sound?.ended ?? 0, newest: parts.sound?.newest ?? "", vibrated: parts.sound?.vibrated ?? 0, is_awake: parts.sound?.audio?.state === "running" }; },
     get drawn() { return { scene: parts.view?.frames ?? 0, draw_ms: parts.view?.draw_ms ?? NaN, curves: parts.curves?.drawn ?? 0 }; },
   }),
 });
@@ -57,14 +61,15 @@ async function part(name, make) {
 }
 
 // All are fetched at once, and made in this order.
-const [header, panels, take, robots, runbook, episodes, feeds, cameras, view, curves] = [
-  "header", "panels", "take", "robot", "runbook", "episodes", "feeds", "cameras", "view3d", "curves",
+const [header, panels, take, robots, runbook, episodes, feeds, cameras, view, curves, playback, sound] = [
+  "header", "panels", "take", "robot", "runbook", "episodes", "feeds", "cameras", "view3d", "curves", "playback", "sound",
 ].map((name) => {
   const module = import(`./${name}.js`);
   module.catch(() => {});  // said where it is made
   return module;
 });
 await part("header", async () => new (await header).Header(link));
+await part("sound", async () => new (await sound).Sound(link));
 await part("lists", async () => {
   const { showAlarms, showServers, showKeys, showEvents } = await panels;
   for (const shown of [showAlarms, showServers, showKeys, showEvents]) shown(link);
@@ -72,16 +77,19 @@ await part("lists", async () => {
 await part("take", async () => new (await take).Take(link, desk));
 await part("robots", async () => new (await robots).Robots(link, desk));
 await part("runbook", async () => new (await runbook).Runbook(link, desk));
-await part("episodes", async () => new (await episodes).Episodes(link));
+await part("episodes", async () => new (await episodes).Episodes(link, (/** @type {string} */ id, /** @type {any} */ opener) => parts.playback?.open(id, opener)));
 await part("feeds", async () => new (await feeds).Feeds());
 await part("cameras", async () => new (await cameras).Cameras(link, parts.feeds));
 await part("view", async () => new (await view).View3d(link, parts.feeds));
 await part("curves", async () => new (await curves).Curves(parts.view));
+await part("playback", async () => new (await playback).Playback(parts.feeds, parts.view, parts.cameras, parts.curves));
 if (link.state) link.dispatchEvent(new CustomEvent("state", { detail: link.state }));
 
 // Bands that come and go on top take their height from the columns below, so that these still end above the stop.
-const bands = byId("bands");
-new ResizeObserver(() => document.documentElement.style.setProperty("--bands", `${bands.offsetHeight}px`)).observe(bands);
+for (const [id, name] of [["bands", "--bands"], ["playback", "--playback"]]) {
+  const band = byId(id);
+  new ResizeObserver(() => document.documentElement.style.setProperty(name, `${band.offsetHeight}px`)).observe(band);
+}
 
 /** Keeps the screen on where the browser may (a secure origin). */
 async function stayAwake() {

@@ -110,6 +110,13 @@ export class Scene3d {
     this.ask();
   }
 
+  /** @param {[number, number][]} points the way that the root came, in place of what was known of it [m] */
+  setTrail(points) {
+    this.trail.clear();
+    if (this.floats) for (const [x, y] of points) if (Math.abs(x) < AWAY_M && Math.abs(y) < AWAY_M) this.trail.add(x, y);
+    this.ask();
+  }
+
   place() {
     const { measured, reference, gate } = this.poses;
     const matrix = (/** @type {any} */ mesh, /** @type {Float32Array | null} */ all, /** @type {number} */ body) => {

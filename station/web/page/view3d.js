@@ -16,20 +16,24 @@ export class View3d extends EventTarget {
     this.words = byId("view-words");
     this.choice = byId("view-robot");
     this.robot = "";
+    /** Names that are offered, one below the other. */
+    this.shown = "";
     /** @type {any} */
     this.scene = null;
     this.frames = 0;
     this.draw_ms = NaN;
     this.pose_at = -Infinity;
     this.pose_age_s = NaN;
+    /** Chooses a robot of an episode, while one is shown. @type {((name: string) => void) | null} */
+    this.choose_recorded = null;
     /** @type {Worker | null} */
     this.worker = null;
     this.start();
-    this.choice.addEventListener("change", () => void this.choose(this.choice.value));
+    this.choice.addEventListener("change", () => { if (this.choose_recorded) this.choose_recorded(this.choice.value); else void this.choose(this.choice.value); });
     byId("view-reset").addEventListener("click", () => this.worker?.postMessage({ t: "reset" }));
     document.addEventListener("theme", () => this.worker?.postMessage({ t: "colours", colours: colours() }));
     link.addEventListener("state", () => this.robots());
-    link.addEventListener("link", () => { if (link.is_up && this.robot && !this.scene) void this.choose(this.robot); });
+    link.addEventListener("link", () => { if (link.is_up && this.robot && !this.scene && !this.choose_recorded) void this.choose(this.robot); });
     setInterval(() => this.age(), 200);
   }
 
@@ -110,16 +114,50 @@ export class View3d extends EventTarget {
   }
 
   robots() {
+    if (this.choose_recorded) return;
     const names = list(this.link.state?.robots, 8).map((robot) => brief(robot.name, 120)).filter(Boolean);
+    this.offer(names, this.robot);
+    if (!names.includes(this.robot) && names.length) void this.choose(names[0]);
+    else if (!names.length && !this.robot) this.say("No robot runs.");
+  }
+
+  /** @param {string[]} names @param {string} chosen */
+  offer(names, chosen) {
     const shown = names.join("\n");
     if (shown !== this.shown) {
       this.shown = shown;
       this.choice.replaceChildren(...names.map((name) => { const option = el("option", "", name); option.value = name; return option; }));
       show(this.choice, names.length > 1);
-      if (names.includes(this.robot)) this.choice.value = this.robot;
     }
-    if (!names.includes(this.robot) && names.length) void this.choose(names[0]);
-    else if (!names.length && !this.robot) this.say("No robot runs.");
+    if (names.includes(chosen)) this.choice.value = chosen;
+  }
+
+  /** An episode is shown in place of a live robot. @param {(name: string) => void} choose one of its robots */
+  showRecorded(choose) {
+    this.turn = (this.turn ?? 0) + 1;
+    if (this.robot) this.feeds.leave(`robot:${this.robot}`);
+    this.choose_recorded = choose;
+    this.clear("Reading the episode…");
+  }
+
+  showLive() {
+    this.choose_recorded = null;
+    this.clear("");
+    const before = this.robot;
+    this.robot = "";
+    if (list(this.link.state?.robots, 8).some((robot) => robot.name === before)) void this.choose(before);
+    this.robots();
+  }
+
+  /** Nothing of what was shown stays. @param {string} words */
+  clear(words) {
+    this.shown = "";
+    this.pose_at = -Infinity;
+    this.pose_age_s = NaN;
+    this.stage.classList.remove("old");
+    this.setScene({ bodies: [], joints: [], shapes: [] });
+    this.scene = null;
+    this.say(words);
   }
 
   /** @param {string} name */
@@ -141,6 +179,19 @@ export class View3d extends EventTarget {
       return;
     }
     if (this.turn !== turn) return;
+    this.setScene(scene);
+    this.feeds.want(`robot:${name}`, (header, data, offset) => {
+      if (this.scene !== scene) return;
+      this.pose_at = performance.now();
+      this.pose_age_s = number(header.age_ms, 0) / 1000;
+      this.link.measured_at_s.set(name, this.pose_at / 1000 - this.pose_age_s);
+      const { q, command, gate } = this.setPoses(header, data, offset);
+      this.dispatchEvent(new CustomEvent("joints", { detail: { at_s: this.pose_at / 1000 - this.pose_age_s, q, command, gate } }));
+    });
+  }
+
+  /** @param {any} scene as `GET /api/scene` gives it */
+  setScene(scene) {
     scene.joints = (Array.isArray(scene.joints) ? scene.joints : []).slice(0, MOST_JOINTS).map(String);
     this.scene = scene;
     const is_drawn = Array.isArray(scene.shapes) && scene.shapes.length > 0;
@@ -149,25 +200,31 @@ export class View3d extends EventTarget {
       this.say(is_drawn ? "" : brief(scene.note, 200) || "There is no model of this robot.");
     }
     this.dispatchEvent(new CustomEvent("robot", { detail: scene }));
-    const { link } = this, bodies = Array.isArray(scene.bodies) ? scene.bodies.length : 0, joints = scene.joints.length;
-    this.feeds.want(`robot:${name}`, (header, data, offset) => {
-      if (this.scene !== scene) return;
-      const floats = new Float32Array(data, offset, Math.floor((data.byteLength - offset) / 4));
-      let at = 0;
-      const take = (/** @type {number} */ count) => { const part = floats.slice(at, at + count); at += count; return part.length === count ? part : null; };
-      const measured = header.has_pose ? take(7 * bodies) : null, reference = header.has_ghost ? take(7 * bodies) : null;
-      const q = take(joints), command = take(joints);
-      this.pose_at = performance.now();
-      this.pose_age_s = number(header.age_ms, 0) / 1000;
-      link.measured_at_s.set(name, this.pose_at / 1000 - this.pose_age_s);
-      const gate = String(header.gate ?? "");
-      this.dispatchEvent(new CustomEvent("joints", { detail: { at_s: this.pose_at / 1000 - this.pose_age_s, q, command, gate } }));
-      const buffers = [measured, reference].filter((part) => part !== null).map((part) => part.buffer);
-      this.worker?.postMessage({ t: "poses", measured, reference, gate: Object.hasOwn(COLOURS, gate) ? COLOURS[gate] : "" }, buffers);
-    });
   }
 
+  /**
+   * Shows a frame of the scene's robot.
+   * @param {any} header @param {ArrayBuffer} data @param {number} offset of its numbers
+   * @returns {{q: Float32Array | null, command: Float32Array | null, gate: string, end: number}} its joints, and where its numbers end
+   */
+  setPoses(header, data, offset) {
+    const { scene } = this, bodies = Array.isArray(scene.bodies) ? scene.bodies.length : 0, joints = scene.joints.length;
+    const floats = new Float32Array(data, offset, Math.floor((data.byteLength - offset) / 4));
+    let at = 0;
+    const take = (/** @type {number} */ count) => { const part = floats.slice(at, at + count); at += count; return part.length === count ? part : null; };
+    const measured = header.has_pose ? take(7 * bodies) : null, reference = header.has_ghost ? take(7 * bodies) : null;
+    const q = take(joints), command = take(joints);
+    const gate = String(header.gate ?? "");
+    const buffers = [measured, reference].filter((part) => part !== null).map((part) => part.buffer);
+    this.worker?.postMessage({ t: "poses", measured, reference, gate: Object.hasOwn(COLOURS, gate) ? COLOURS[gate] : "" }, buffers);
+    return { q, command, gate, end: offset + 4 * at };
+  }
+
+  /** The way that the root came, after time jumped. @param {[number, number][]} points [m] */
+  setTrail(points) { this.worker?.postMessage({ t: "trail", points }); }
+
   age() {
+    if (this.choose_recorded) return;
     const old_s = this.pose_age_s + (performance.now() - this.pose_at) / 1000;
     const node = byId("view-age"), is_old = !(old_s <= OLD_S);
     write(node, Number.isNaN(old_s) || !Number.isFinite(old_s) ? "" : is_old ? `${age(old_s)} old` : age(old_s));

@@ -18,6 +18,7 @@ onmessage = ({ data }) => {
   try {
     if (data.t === "robot") scene.setRobot(data.robot);
     else if (data.t === "poses") scene.setPoses(data);
+    else if (data.t === "trail") scene.setTrail(data.points);
     else if (data.t === "size") scene.resize(data.width, data.height, data.ratio);
     else if (data.t === "colours") scene.setColours(data.colours);
     else if (data.t === "input") scene.input(data.event);

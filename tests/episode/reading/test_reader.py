@@ -102,6 +102,20 @@ def test_damage_in_the_middle_of_a_finished_file_is_an_error_that_says_where(
         list(reader.messages())
 
 
+def test_from_an_instant_on_nothing_before_it_is_read(tmp_path: Path, many_flushes: tuple[bytes, list[bytes]]) -> None:
+    data, values = bytearray(many_flushes[0]), many_flushes[1]
+    file = tmp_path / "signals.mcap"
+    file.write_bytes(data)
+    chunks = EpisodeReader(file).parts[0].contents.chunks
+    for place in chunks[: FLUSHES // 2]:
+        data[place.offset + place.length - 5] ^= 0xFF
+    file.write_bytes(data)
+    found = [
+        message.data for message in open_episode(tmp_path).messages_from([BODY, "own"], chunks[FLUSHES // 2].end_ns)
+    ]
+    assert found == values[FLUSHES // 2 * PER_FLUSH :]
+
+
 def test_a_file_without_manifest_yaml_tells_its_own(tmp_path: Path, many_flushes: tuple[bytes, list[bytes]]) -> None:
     (tmp_path / "signals.mcap").write_bytes(many_flushes[0])
     reader = open_episode(tmp_path)
