@@ -36,6 +36,8 @@ READS_FILES = {
     "station.episode.replaying.resimulate": "runs a robot; what it reads passes timing_row and parse_facts",
     "station.rehearse": "a configuration from the process that started it",
     "station.web.keyring": "its own secrets",
+    "station.web.player": "typed orders of the console that started it",
+    "station.web.players": "frames of a player of its own",
     "station.suite.trial": "a configuration from the process that started it",
     "adapters.devices.fakes.pico.script": "the script of a fake",
     "adapters.devices.fakes.script": "the script of a fake",
