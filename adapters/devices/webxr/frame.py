@@ -46,6 +46,13 @@ Palms = Mapping[Side, Pose]
 """The palm in the frame of what a hand holds (WebXR's grip space), by side."""
 
 
+def mirrored(palm: Pose) -> Pose:
+    """Return the palm of a left hand for that of a right one."""
+    x, y, z = palm.position
+    qw, qx, qy, qz = palm.quat_wxyz
+    return Pose(np.array([x, -y, z]), np.array([qw, -qx, qy, -qz]))
+
+
 class BadFrame(ValueError):
     """A message that is no frame; one line."""
 

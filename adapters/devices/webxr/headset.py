@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 from adapters.devices.webxr.controls import CONTROLS
-from adapters.devices.webxr.frame import BadFrame, Palms, parse, sample_of
+from adapters.devices.webxr.frame import BadFrame, Palms, mirrored, parse, sample_of
 from station.bus.clocks import BusTime
 from station.clock import SYSTEM, Clock
-from station.operator.sample import OperatorSample
+from station.operator.sample import OperatorSample, Pose, Side
 
 OLD_S = 0.1
 """A frame that left its page longer ago is not obeyed [s]."""
@@ -44,7 +45,7 @@ class Headset:
 
     Args:
         clock: Of the process.
-        palms: Where the palm is in what a hand holds.
+        palms: Where a right hand's palm is in a controller, by the name of its profile; WebXR's grip in any other.
         where: Address of the page, for a person.
         touch_scale: What the sticks of a touch screen are multiplied by.
 
@@ -54,11 +55,12 @@ class Headset:
     """
 
     def __init__(
-        self, clock: Clock = SYSTEM, palms: Palms | None = None, where: str = "", touch_scale: float = 1.0
+        self, clock: Clock = SYSTEM, palms: Mapping[str, Pose] | None = None, where: str = "", touch_scale: float = 1.0
     ) -> None:
         self.frames = self.old = self.bad = 0
         self.round_trip_s: float | None = None
-        self._clock, self._palms, self._where = clock, palms or {}, where
+        self._clock, self._known, self._where = clock, palms or {}, where
+        self._palms: Palms = {}  # of what is held now
         self._touch_scale = touch_scale
         self._lock = threading.Lock()
         self._page = 0  # number of the page that drives; 0 for none
@@ -83,7 +85,7 @@ class Headset:
                 return 0
             self._pages += 1
             self._page, self._heard_s, self._taken_ms = self._pages, now_s, -math.inf
-            self._time, self._about = BusTime(), {}
+            self._time, self._about, self._palms = BusTime(), {}, {}
             self._pings.clear()
             self._let_go("the page was opened", now_s)
             return self._page
@@ -110,6 +112,12 @@ class Headset:
         with self._lock:
             if page == self._page:
                 self._about = {name[:40]: value[:_WORDS] for name, value in list(told.items())[:8]}
+                palms: dict[Side, Pose] = {}
+                if left := self._known.get(told.get("left_input", "")):
+                    palms["left"] = mirrored(left)
+                if right := self._known.get(told.get("right_input", "")):
+                    palms["right"] = right
+                self._palms = palms
 
     def ping(self, page: int) -> int:
         """Return the number of a question for the page's time, which leaves now."""

@@ -19,13 +19,15 @@ from adapters.devices.webxr.controls import CONTROLS, TOUCH_HOLD
 from station.bus.address import BusAddress
 from station.clock import Clock
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
-from station.operator.sample import Pose, Side
+from station.operator.sample import Pose
 
 PORT = 8771
 
 
 class Palm(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the palm of the hand is in a controller, from where WebXR has its grip, in our axes.
+    """Where the palm of a right hand is in a controller, from where WebXR has its grip, in our axes.
+
+    The left one is its mirror image.
 
     Attributes:
         shift_m: To it (3,) [m].
@@ -46,7 +48,8 @@ class WebXRConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields
         certificate, key: Files of a certificate of your own and its key, as PEM; None for one that is made here.
         cameras: Names of cameras that the operator sees in the headset: one for both eyes, or left and right.
         touch_scale: What the sticks of a touch screen are multiplied by: they are slower than a gamepad's.
-        palms: Where the palm is in each controller, by side; WebXR's grip where it is not told.
+        palms: Where the palm is in a controller, by the name of its profile (``meta-quest-touch-plus``), which the
+            heartbeat tells; in any other it is where WebXR has the grip. None has been measured yet.
     """
 
     host: str = "127.0.0.1"
@@ -56,7 +59,7 @@ class WebXRConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields
     key: Path | None = None
     cameras: tuple[str, ...] = ()
     touch_scale: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
-    palms: dict[Side, Palm] = msgspec.field(default_factory=dict)
+    palms: dict[str, Palm] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -109,14 +112,14 @@ def _source(config: WebXRConfig, clock: Clock, start_s: float) -> Iterator[Sourc
         yield Source(open=lambda: headset, begin=begin, beside=beside, numbers=headset.numbers)
 
 
-def _palms(told: Mapping[Side, Palm]) -> Mapping[Side, Pose]:
+def _palms(told: Mapping[str, Palm]) -> Mapping[str, Pose]:
     import numpy as np
 
     from station import rotations
 
     return {
-        side: Pose(np.array(palm.shift_m), rotations.from_rotation_vector(np.radians(palm.turn_deg)))
-        for side, palm in told.items()
+        profile: Pose(np.array(palm.shift_m), rotations.from_rotation_vector(np.radians(palm.turn_deg)))
+        for profile, palm in told.items()
     }
 
 

@@ -35,7 +35,7 @@ PAGE = Path(__file__).with_name("page")
 
 _REFUSED = 1008
 _FIRST_PINGS, _FIRST_PING_S, _PING_S = 8, 0.02, 0.25
-_MOST_TOLD = 32  # cues that wait for a slow page
+_MOST_TOLD = 32  # that wait for a slow page
 _MOST_VIEWERS = 8
 
 
@@ -131,7 +131,8 @@ class HeadsetPages:
         """Ask the page for its time, often at first; end when another page has its place."""
         asked = 0
         while self._headset.is_driving(page):
-            told.put_nowait({"t": "ping", "page": page})
+            if told.qsize() < _MOST_TOLD:
+                told.put_nowait({"t": "ping", "page": page})
             asked += 1
             await asyncio.sleep(_FIRST_PING_S if asked < _FIRST_PINGS else _PING_S)
 

@@ -50,13 +50,13 @@ enter.addEventListener("click", async () => {
   showHeadset();
 });
 headset.addEventListener("change", showHeadset);
-if (!mode) touch.begin();
+if (!mode) { touch.begin(); byId("main").classList.add("no-headset"); }
 showHeadset();
 
 /** @type {any} */
 let lock = null;
 touch.addEventListener("change", async () => {
-  write(byId("touch-words"), touch.is_held ? "driving" : "not held");
+  write(byId("touch-words"), touch.is_held ? "held" : "not held");
   if (touch.is_held && !lock) try { lock = await /** @type {any} */ (navigator).wakeLock?.request("screen"); lock?.addEventListener("release", () => { lock = null; }); } catch { lock = null; }
 });
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,8 +12,9 @@ from hypothesis import strategies as st
 from adapters.devices.webxr.controls import SENT
 from adapters.devices.webxr.frame import PARTS, packed
 from adapters.devices.webxr.headset import GIVEN_UP_S, LET_GO_S, OLD_S, Headset
+from station import rotations
 from station.clock import Clock
-from station.operator.sample import OperatorSample
+from station.operator.sample import OperatorSample, Pose
 
 LEVEL = (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 PARTS_OF_PAIR = sum(PARTS[name] for name in ("head", "left", "right", "controls_left", "controls_right"))
@@ -208,6 +210,23 @@ def test_x6_a_second_page_is_refused_until_the_first_is_silent_for_long(page: Pa
     assert headset.read() is None
     second.send()
     assert headset.read() is not None
+
+
+def test_a_palm_is_where_the_table_has_it_in_a_controller_of_that_profile(clock: Given):
+    palm = Pose(np.array([0.01, 0.02, -0.03]), rotations.from_rotation_vector([0.1, 0.2, 0.3]))
+    headset = Headset(clock, {"touch-plus": palm})
+    page = Page(headset, clock)
+    page.tell_time()
+    page.send()
+    plain = reading(headset)
+    headset.about(page.number, {"left_input": "touch-plus", "right_input": "touch-plus"})
+    clock.now_s += TICK_S
+    page.send()
+    found = reading(headset)
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        before, after = getattr(plain, side), getattr(found, side)
+        np.testing.assert_allclose(after.position - before.position, [0.01, sign * 0.02, -0.03], atol=1e-9)
+        np.testing.assert_allclose(rotations.rotation_vector(after.quat_wxyz), [sign * 0.1, 0.2, sign * 0.3], atol=1e-6)
 
 
 def test_a_page_that_is_gone_says_so(page: Page, headset: Headset, clock: Given):

@@ -207,11 +207,22 @@ def test_a_thumb_drives_while_it_is_on_the_pad(server: WebXRServer, open_page: O
     assert server.sample.controls["left_stick_y"] == 0.0
 
 
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", [browsers.DESKTOP, browsers.PHONE, browsers.SMALL])
+def test_nobody_is_left_out(server: WebXRServer, open_page: Open, size: tuple[int, int], theme: str) -> None:
+    page = open_page(has_headset=False, size=size, color_scheme=theme)
+    assert page.violations() == []
+    assert page.tab.locator("#stop").is_visible()
+    wide = page.read("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide[0] <= wide[1]
+
+
 def test_a_code_lets_a_headset_in(server: WebXRServer, browser: Any) -> None:
     from station.web.keyring import Keyring
 
     page = browsers.Page(browser, server.url)
     try:
+        assert page.violations() == []
         page.tab.fill("#code", "0000 0000")
         page.tab.get_by_role("button", name="Sign in").click()
         page.until("document.getElementById('pair-note').textContent.startsWith('not the code of now')")
