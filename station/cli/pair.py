@@ -30,7 +30,7 @@ def command(server: str, qr: bool, bus: str | None) -> None:
     The code is typed on the page; it is good for five minutes at least. Who has it, or the link, is an operator.
     """
     libraries.expect("a page", "starlette", "console")
-    from station.web import keyring, links
+    from station.web import certificates, keyring, links
 
     with Bus(address_of(bus), name="pair") as line:
         found = [(health, page) for health, page in _pages(line) if server in ("", health.name)]
@@ -49,6 +49,8 @@ def command(server: str, qr: bool, bus: str | None) -> None:
         click.echo(f"  code {code[:4]} {code[4:]}  (another one in {_minutes(now_s, keyring.CODE_S)}; this one counts"
                    " five minutes more)")  # fmt: skip
         click.echo(f"  link {link}")
+        if page.startswith("https:") and certificates.authority().is_file():
+            click.echo(f"  a browser that is to trust it needs the authority {certificates.authority()}")
         if qr:
             click.echo(_drawn(link))
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric import ec
 
+_AUTHORITY = "authority.pem"
 _DAYS, _AUTHORITY_DAYS = 397, 3650  # Apple's devices take no leaf for longer
 _EARLY = datetime.timedelta(days=1)  # a phone's clock may be behind
 _RENEW = datetime.timedelta(days=30)
@@ -43,12 +44,21 @@ def own(names: Sequence[str], folder: Path | None = None) -> ServerCertificate:
     Raises:
         OSError: the disk refused it.
     """
-    where = folder or stop_file.folder().parent / "console"
+    where = folder or _folder()
     where.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = ServerCertificate(where / "page.pem", where / "page.key", where / "authority.pem")
+    found = ServerCertificate(where / "page.pem", where / "page.key", where / _AUTHORITY)
     if not _is_good(found, names):
         _make(found, where / "authority.key", names)
     return found
+
+
+def authority() -> Path:
+    """Return the file of this user's authority; not necessarily there."""
+    return _folder() / _AUTHORITY
+
+
+def _folder() -> Path:
+    return stop_file.folder().parent / "console"
 
 
 def _is_good(files: ServerCertificate, names: Sequence[str]) -> bool:
