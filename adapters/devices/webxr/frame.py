@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from adapters.devices.webxr.body import JOINTS as BODY
+from adapters.devices.webxr.body import body_of
 from adapters.devices.webxr.controls import OF_A_SIDE, SENT, TOUCH_HOLD
 from adapters.retarget import frames
 from station import rotations
@@ -30,10 +32,11 @@ FRAME = np.dtype([
     ("head", "<f4", (7,)), ("left", "<f4", (7,)), ("right", "<f4", (7,)),
     ("controls", "<f4", (len(SENT) + 1,)),  # in that order, then `TOUCH_HOLD`
     ("hand_left", "<f4", (JOINTS, 7)), ("hand_right", "<f4", (JOINTS, 7)),
+    ("body", "<f4", (len(BODY), 3)),
 ])  # fmt: skip
 MAGIC = 0x31525853  # "SXR1"
 PARTS = {name: 1 << bit for bit, name in enumerate(
-    ("head", "left", "right", "controls_left", "controls_right", "hand_left", "hand_right", "touch")
+    ("head", "left", "right", "controls_left", "controls_right", "hand_left", "hand_right", "touch", "body")
 )}  # fmt: skip
 
 _FARTHEST_M = 100.0
@@ -100,6 +103,7 @@ def sample_of(frame: np.void, capture_ns: int, palms: Palms, touch_scale: float 
     return OperatorSample(
         capture_ns=capture_ns, controls=controls, head=_pose(poses["head"]) if "head" in poses else None,
         left=held.get("left"), right=held.get("right"), hands=hands,
+        body=body_of(_places(frame)) if "body" in has else None,
     )  # fmt: skip
 
 
@@ -113,6 +117,14 @@ def _poses(frame: np.void, name: str) -> Floats:
         raise BadFrame(f"{name}: a quaternion is not of unit length")
     quats = frames.quats_to_flu(rotations.normalized(frames.wxyz(rows[:, 3:])))
     return np.concatenate([frames.positions_to_flu(rows[:, :3]), quats], axis=-1)
+
+
+def _places(frame: np.void) -> Floats:
+    """Return where the joints of the body are in our world, shape (n, 3) [m]."""
+    rows = frame["body"].astype(np.float64)
+    if not (np.isfinite(rows).all() and (np.abs(rows) <= _FARTHEST_M).all()):
+        raise BadFrame(f"body: no number, or beyond {_FARTHEST_M:g} m")
+    return frames.positions_to_flu(rows)
 
 
 def _controls(frame: np.void, has: set[str], touch_scale: float) -> dict[str, float]:

@@ -211,5 +211,5 @@ class Headset:
         controls = {name: 0.0 if name in self._unseen else value for name, value in sample.controls.items()}
         return OperatorSample(
             capture_ns=sample.capture_ns, controls=controls, head=sample.head, left=sample.left, right=sample.right,
-            hands=sample.hands,
+            hands=sample.hands, body=sample.body,
         )  # fmt: skip

@@ -19,6 +19,7 @@ from adapters.devices.webxr.controls import CONTROLS, TOUCH_HOLD
 from station.bus.address import BusAddress
 from station.clock import Clock
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.measure import OperatorMeasure
 from station.operator.sample import Pose
 
 PORT = 8771
@@ -123,6 +124,12 @@ def _palms(told: Mapping[str, Palm]) -> Mapping[str, Pose]:
     }
 
 
+def _measure() -> OperatorMeasure:
+    from adapters.retarget.operators import BodyMeasure
+
+    return BodyMeasure()
+
+
 def _plugged_in() -> Sequence[str]:
     """Return none: a headset comes to us."""
     return ()
@@ -148,4 +155,5 @@ KIND = DeviceKind(
     # A page gets no menu button. Tracked hands have no buttons: the left one's pinch drives while it is held.
     buttons=pair.BUTTONS | {"disarm": "hold right_stick_click", "engage": ["left_pinch", TOUCH_HOLD]},
     port=PORT,
+    measure=_measure,
 )

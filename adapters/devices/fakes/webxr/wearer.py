@@ -16,10 +16,15 @@ import numpy as np
 
 from adapters.devices.fakes.pico import script as scripts
 from adapters.devices.fakes.pico.play import Wearer
+from adapters.devices.webxr.body import JOINTS as BODY
+from adapters.devices.webxr.body import KNUCKLES, PLACES
 from adapters.devices.webxr.controls import SENT, TOUCH_HOLD
 from adapters.devices.webxr.frame import PARTS, packed
 from adapters.retarget import frames
-from station.operator.sample import OperatorSample
+from adapters.retarget.human import SIDES
+from station import rotations
+from station.bus.joints import SMPL_24
+from station.operator.sample import Body, OperatorSample
 from station.protocols import Floats
 from station.stop_signals import set_on_signals
 from station.web.doorkeeper import Cookies
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
 _AGAIN_S = 0.1
 _SLICE_S = 0.1
 _CLOSED_WITHIN_S = 5.0
+_PALM_M, _KNUCKLE_M = 0.08, 0.03  # wrist to knuckles, and from their middle to the index finger's
 _CLOCK_AHEAD_S = 0.125  # a page's clock begins with the page
 
 
@@ -169,6 +175,9 @@ def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
     for side, hand in sample.hands.items():
         values[f"hand_{side}"] = _rows(hand[1:])  # a page has no palm
         parts |= PARTS[f"hand_{side}"]
+    if sample.body is not None:
+        values["body"] = seen_by_a_browser(sample.body)
+        parts |= PARTS["body"]
     if sample.controls:
         signs = [-1.0 if name.endswith("stick_y") else 1.0 for name in SENT]
         sent = [sign * sample.controls.get(name, 0.0) for name, sign in zip(SENT, signs, strict=True)]
@@ -177,6 +186,19 @@ def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
         sides = [side for side in ("left", "right") if is_phone or getattr(sample, side) is not None]
         parts |= sum(PARTS[f"controls_{side}"] for side in sides)
     return packed(parts=parts, **values)
+
+
+def seen_by_a_browser(body: Body) -> Floats:
+    """Return where a browser has the joints of a body, shape (21, 3), in WebXR's axes [m]."""
+    place = dict(zip(SMPL_24, body.positions, strict=True))
+    found = {"head": place["head"], "neck": place["neck"], "spine-middle": place["spine2"]}
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        found |= {f"{side}-{theirs}": place[f"{side}_{'foot' if ours == 'ball' else ours}"]
+                  for ours, theirs in PLACES.items()}  # fmt: skip
+        turn, wrist = body.quats_wxyz[SMPL_24.index(f"{side}_wrist")], place[f"{side}_wrist"]
+        for name, ahead_m in zip(KNUCKLES, (_KNUCKLE_M, -_KNUCKLE_M), strict=True):
+            found[f"{side}-{name}"] = wrist + rotations.rotate(turn, [ahead_m, sign * _PALM_M, 0.0])
+    return frames.positions_from_flu(np.array([found[name] for name in BODY]))
 
 
 def poisoned(data: bytes) -> bytes:

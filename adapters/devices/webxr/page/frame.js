@@ -1,7 +1,12 @@
 // A frame as the station takes it: little-endian, in WebXR's own axes. Its layout is that of adapters/devices/webxr/frame.py.
 export const JOINTS = 25, CONTROLS = 15;
-const MAGIC = 0x31525853, BYTES = 1568;
-export const PARTS = { head: 1, left: 2, right: 4, controls_left: 8, controls_right: 16, hand_left: 32, hand_right: 64, touch: 128 };
+const MAGIC = 0x31525853, BYTES = 1820;
+export const PARTS = { head: 1, left: 2, right: 4, controls_left: 8, controls_right: 16, hand_left: 32, hand_right: 64, touch: 128, body: 256 };
+const SIDES = ["left", "right"];
+/** Joints of a body whose places are sent, by the names of WebXR; the order is that of adapters/devices/webxr/body.py. */
+export const BODY = ["head", "neck", "spine-middle",
+  ...["upper-leg", "lower-leg", "foot-ankle", "foot-ball", "arm-upper", "arm-lower", "hand-wrist", "hand-index-metacarpal", "hand-little-metacarpal"]
+    .flatMap((name) => SIDES.map((side) => `${side}-${name}`))];
 
 export class Frame {
   constructor() {
@@ -17,6 +22,7 @@ export class Frame {
     this.controls = floats(108, CONTROLS);
     this.hand_left = floats(168, JOINTS * 7);
     this.hand_right = floats(868, JOINTS * 7);
+    this.body = floats(1568, BODY.length * 3);
     this.parts = 0;
   }
 

@@ -1,5 +1,5 @@
 // A WebXR session: what the browser tells of head, controllers and hands goes out with every animation frame.
-import { Frame, JOINTS, PARTS } from "./frame.js";
+import { BODY, Frame, JOINTS, PARTS } from "./frame.js";
 import { Scene } from "./scene.js";
 
 const BUTTONS = [0, 1, 3, 4, 5], AT = [0, 1, 4, 5, 6];  // trigger, squeeze, stick, A or X, B or Y; where a frame has them
@@ -35,7 +35,7 @@ export class Headset extends EventTarget {
   /** Begins a session; to be called by a touch or a click. @param {string} mode */
   async enter(mode) {
     const xr = /** @type {any} */ (navigator).xr;
-    const session = await xr.requestSession(mode, { requiredFeatures: ["local-floor"], optionalFeatures: ["hand-tracking"] });
+    const session = await xr.requestSession(mode, { requiredFeatures: ["local-floor"], optionalFeatures: ["hand-tracking", "body-tracking"] });
     this.session = session;
     const gl = /** @type {WebGL2RenderingContext | null} */ (this.canvas.getContext("webgl2", { xrCompatible: true }));
     if (!gl) { await session.end(); throw new Error("this browser draws no WebGL, which WebXR needs"); }
@@ -81,6 +81,7 @@ export class Headset extends EventTarget {
       const side = source.handedness;
       if (side === "left" || side === "right") this.input(xr, source, side);
     }
+    if (xr.body) this.body(xr);
     this.line.send(this.frame, now);
   }
 
@@ -112,6 +113,17 @@ export class Headset extends EventTarget {
       index += 1;
     }
     if (index === JOINTS) this.frame.parts |= PARTS[`hand_${side}`];
+  }
+
+  /** Where the browser tracks the whole body. @param {any} xr */
+  body(xr) {
+    for (let index = 0; index < BODY.length; index += 1) {
+      const space = xr.body.get(BODY[index]), pose = space ? xr.getPose(space, this.space) : null;
+      if (!pose) return;
+      const { x, y, z } = pose.transform.position;
+      this.frame.body.set([x, y, z], index * 3);
+    }
+    this.frame.parts |= PARTS.body;
   }
 
   /** What happens is felt in both hands. @param {string} tune */

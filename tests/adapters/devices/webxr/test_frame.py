@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.devices.fakes.webxr.wearer import frame_of
+from adapters.devices.fakes.webxr.wearer import frame_of, seen_by_a_browser
+from adapters.devices.webxr.body import JOINTS as BODY
 from adapters.devices.webxr.controls import CONTROLS, SENT
 from adapters.devices.webxr.frame import FRAME, PARTS, BadFrame, packed, parse, sample_of
 from adapters.devices.webxr.kind import KIND
+from adapters.retarget.calibration import from_height
+from adapters.retarget.pipeline import BodyRetarget
+from adapters.retarget.skeleton import skeleton_of
+from station import registry
+from station.bus.joints import SMPL_24
 from station.operator.sample import OperatorSample, Pose
 
 HALF = math.sqrt(0.5)
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 # Looking along -z, 0.2 m to the right, 1.6 m up, 0.5 m ahead; turned a quarter to the left about y.
 HEAD = (0.2, 1.6, -0.5, 0.0, HALF, 0.0, HALF)
-EVERY = sum(PARTS.values()) - PARTS["hand_left"] - PARTS["hand_right"] - PARTS["touch"]
+EVERY = sum(PARTS[name] for name in ("head", "left", "right", "controls_left", "controls_right"))
 
 
 def sample(**values: Any) -> OperatorSample:
@@ -127,10 +133,40 @@ def test_the_fake_sends_what_comes_back():
 def test_the_page_has_the_same_layout():
     text = Path("adapters/devices/webxr/page/frame.js").read_text()
     assert f"BYTES = {FRAME.itemsize};" in text
-    for name in ("head", "left", "right", "controls", "hand_left", "hand_right"):
+    for name in ("head", "left", "right", "controls", "hand_left", "hand_right", "body"):
         assert f"this.{name} = floats({FRAME.fields[name][1]}, " in text
     for name, bit in PARTS.items():
         assert f"{name}: {bit}" in text
+
+
+@pytest.mark.parametrize("time_s", [0.0, 2.0, 3.5])
+@pytest.mark.parametrize("motion", ["builtin:wave", "builtin:walk-forward"])
+def test_a_body_is_made_of_places_and_moves_a_robot_as_the_person_does(motion, time_s):
+    worn = skeleton_of(registry.find("loader", "motion")(motion).at(time_s), 1.75)
+    frame = parse(packed(parts=PARTS["body"], body=seen_by_a_browser(worn)))
+    found = sample_of(frame, 0, {}).body
+    assert found is not None
+    near = {name: np.linalg.norm(here - there) for name, here, there in
+            zip(SMPL_24, found.positions, worn.positions, strict=True)}  # fmt: skip
+    for name in ("left_hip", "right_knee", "left_ankle", "right_shoulder", "left_elbow", "right_wrist", "head"):
+        assert near[name] < 1e-5, name
+    asked = [BodyRetarget(from_height(1.75)).step(body, 1).q for body in (found, worn)]
+    np.testing.assert_allclose(asked[0], asked[1], atol=0.03)  # a spine that is bent elsewhere, feet that are level
+    assert float(np.abs(asked[0] - asked[1]).mean()) < 0.005
+
+
+def test_a_body_that_is_no_number_is_refused():
+    places = np.zeros((len(BODY), 3))
+    places[3, 1] = math.nan
+    with pytest.raises(BadFrame, match="body: no number"):
+        sample_of(parse(packed(parts=PARTS["body"], body=places)), 0, {})
+
+
+def test_the_page_has_the_same_joints_of_a_body():
+    text = Path("adapters/devices/webxr/page/frame.js").read_text()
+    names = [name.removeprefix("left-") for name in BODY if not name.startswith("right-")]
+    assert ", ".join(f'"{name}"' for name in names[:3]) in text
+    assert ", ".join(f'"{name}"' for name in names[3:]) in text
 
 
 def test_its_buttons_are_of_its_controls():

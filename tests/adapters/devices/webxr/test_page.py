@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -12,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adapters.devices.webxr.body import JOINTS as BODY
 from station.bus import codec, keys
 from station.bus.address import BusAddress
+from station.bus.joints import SMPL_24
 from station.life import estop
 from station.life.stop_button import StopButton
 from tests.adapters.devices.webxr.headset_page import HeadsetPage, WebXRServer
@@ -102,6 +105,30 @@ def test_x1_hands_have_26_joints_and_a_pinch(server: WebXRServer, open_page: Ope
     assert sample.left is not None
     np.testing.assert_array_equal(sample.left.position, sample.hands["left"][0, :3])
     assert sample.controls["right_pinch"] < 0.5
+
+
+BODY_OF_A_BROWSER = """
+const told = %s, getPose = XRFrame.prototype.getPose;
+Object.defineProperty(XRFrame.prototype, "body", {get: () => new Map(Object.keys(told).map((name) => [name, {name}]))});
+XRFrame.prototype.getPose = function (space, base) {
+  if (!space.name) return getPose.call(this, space, base);
+  const [x, y, z] = told[space.name];
+  return {transform: {position: {x, y, z}}};
+};
+"""
+
+
+def test_x1_a_body_is_sent_where_the_browser_gives_one(server: WebXRServer, open_page: Open) -> None:
+    page = open_page()
+    places = {name: [0.01 * index, 1.0 + 0.02 * index, -0.03 * index] for index, name in enumerate(BODY)}
+    page.do(BODY_OF_A_BROWSER % json.dumps(places))
+    page.enter()
+    wait_until(lambda: server.sample.body is not None)
+    body = server.sample.body
+    assert body is not None
+    for ours, theirs in (("left_hip", "left-upper-leg"), ("right_wrist", "right-hand-wrist"), ("head", "head")):
+        x, y, z = places[theirs]
+        np.testing.assert_allclose(body.positions[SMPL_24.index(ours)], [-z, -x, y], atol=1e-6)
 
 
 LETTING_GO = {
