@@ -1,7 +1,7 @@
 """Takes the pictures of docs/webxr.md: `python -m research.headset_pictures`; needs a browser and the extra `test`.
 
-A simulated G1 is driven from Meta's emulator of a headset (IWER), which sees the camera of the robot's head; a phone has
-its pads.
+A simulated G1 is driven from Meta's emulator of a headset (IWER), which sees the camera of the robot's head; a phone
+has its pads.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def follows(time_s: Floats, asked: Floats, measured: Floats, names: Sequence[str
         rows = _turn(time_s, asked[:, joint])
         if rows is None:
             continue
-        answer = _answers(_trendless(asked[rows, joint]), measured[rows.start :])
+        answer = _answers(time_s, rows, _trendless(asked[rows, joint]), measured)
         own = float(answer[joint])
         others = np.where(np.arange(len(names)) == joint, 0.0, np.abs(answer))
         other = int(np.argmax(others))
@@ -48,15 +48,23 @@ def follows(time_s: Floats, asked: Floats, measured: Floats, names: Sequence[str
     return found
 
 
-def _answers(led: Floats, measured: Floats) -> Floats:
+def _answers(time_s: Floats, rows: slice, led: Floats, measured: Floats) -> Floats:
     """Return how joints answer to a target, each as late as it answers most, shape (n,).
 
+    How late is counted in seconds and not in rows: of a busy machine rows lack, and what comes behind such a hole is
+    another joint's turn.
+
     Args:
-        led: The target, without its trend, shape (k,) [rad].
-        measured: Of all joints from when it was led, shape (k or more, n) [rad].
+        time_s: Of all rows [s].
+        rows: In which the joint was led, k of them.
+        led: The target there, without its trend, shape (k,) [rad].
+        measured: Of all joints in all rows, shape (m, n) [rad].
     """
-    late = min(len(led) // 4, len(measured) - len(led)) + 1
-    found = np.array([_trendless(measured[shift : shift + len(led)]).T @ led for shift in range(late)]) / (led @ led)
+    at_s = time_s[rows]
+    latest_s = min((at_s[-1] - at_s[0]) / 4.0, time_s[-1] - at_s[-1])
+    shifts_s = np.linspace(0.0, latest_s, len(led) // 4 + 1)
+    shifted = (np.stack([np.interp(at_s + by_s, time_s, each) for each in measured.T], axis=1) for by_s in shifts_s)
+    found = np.array([_trendless(each).T @ led for each in shifted]) / (led @ led)
     return np.asarray(np.take_along_axis(found, np.abs(found).argmax(axis=0)[None], axis=0)[0])
 
 

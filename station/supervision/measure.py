@@ -127,7 +127,9 @@ class Measure(msgspec.Struct, frozen=True, kw_only=True):
                 rate.add(sample, len(rows), bus.clock.monotonic_s())
                 beside = watch.latest(followed.key) if followed is not None else None
                 targets = _rows(followed, beside) if followed is not None and beside is not None else None
-                taker.add(bus.clock.monotonic_s() - began_s, rows, targets)
+                written_ns = sample.written_ns or sample.arrived_ns
+                at_s = bus.clock.monotonic_s() if written_ns is None else written_ns * 1e-9
+                taker.add(at_s - began_s, rows, targets)
             look(bus.clock.monotonic_s())
             if newest is None:
                 raise NotReady(f"{contract.key}: nothing came in {self.for_s:g} s; is its writer running?")

@@ -33,6 +33,16 @@ def test_a_joint_that_comes_late_and_not_as_far_is_told_from_one_that_moves_the_
     assert found.text.startswith("moved by" if sign > 0.0 else "it moved the wrong way: moved by")
 
 
+def test_the_next_joint_s_turn_is_not_taken_for_this_one_s_where_rows_lack() -> None:
+    asked, rest = np.zeros((200, 2)), 15
+    for joint, begins in enumerate((10, 10 + 60 + rest)):
+        asked[begins : begins + 60, joint] = 0.05 * np.sin(2.0 * np.pi * np.arange(60) / 60)
+    measured = np.roll(asked, 3, axis=0) * (0.4, 1.0)  # an elbow carries a forearm, a wrist but a hand
+    came = np.r_[0:71, 84:200]  # a busy machine saw nothing of the rest between both
+    for found in follows(TIME_S[came], asked[came], measured[came], NAMES):
+        assert found.is_good, found.text
+
+
 @pytest.mark.parametrize(
     ("own", "other", "said"),
     [(0.0, 0.4, "other moved in its place"), (0.4, 0.3, "other moved with it"), (0.0, 0.0, "it did not follow")],

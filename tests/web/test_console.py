@@ -146,6 +146,8 @@ def test_one_press_is_one_write_however_often_it_comes(start_console: StartConso
         page.say(t="stop", id="one", key=key)
     for _ in range(20):
         assert page.until(lambda said: said["t"] == "stop")["said"] == "taken"
+    page.say(t="stop", id="one", key=key)  # that was on its way when the first was answered
+    assert page.until(lambda said: said["t"] == "stop")["said"] == "taken"
     sample = bus.read(estop.KEYS).get(estop.KEYS[0]) or bus.read(estop.KEYS)[estop.KEYS[1]]
     assert sample.stamp is not None
     assert sample.stamp.seq == 1

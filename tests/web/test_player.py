@@ -174,6 +174,8 @@ def test_rows_follow_each_other_while_it_plays_and_reach_back_after_a_jump(walke
         assert page.has[ROBOT][0]["jump"] == jump
         assert 0 < at_s[0] - last_s < 0.04
         last_s = at_s[-1]
+    page.do(time_s=35.0)
+    assert page.has[ROBOT][0]["jump"] != jump
 
 
 def test_of_each_feed_one_frame_is_under_way(walked: Path) -> None:
