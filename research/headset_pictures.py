@@ -22,10 +22,11 @@ _UP_S, _SEEN_S = 8.0, 4.0
 
 WEAR = "window.xr = new IWER.XRDevice(IWER.metaQuest3); xr.installRuntime({forceInstall: true});"
 SHOW = """
-const scene = document.getElementById("scene");
-scene.hidden = false;
-Object.assign(scene.style, {position: "fixed", inset: 0, width: "100vw", height: "100vh", zIndex: 99});
+document.getElementById("scene").hidden = false;
+for (const part of ["header", "main", "stop-bar"]) document.getElementById(part).style.visibility = "hidden";
+document.body.style.background = "linear-gradient(#59636d 62%, #39424b 62%)";
 """
+"""The emulator draws over the page: in place of that there is a room."""
 
 
 def main() -> None:
