@@ -302,7 +302,7 @@ def _span_s(reader: EpisodeReader) -> tuple[float, float]:
 
 def main(folder: str, stream: socket.socket) -> int:
     """Play an episode over a socket until that closes; return the exit code."""
-    orders: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+    orders: queue.Queue[Order | None] = queue.Queue()
     threading.Thread(target=_hear, args=(stream, orders), daemon=True).start()
     try:
         player = Player(open_episode(Path(folder)), SYSTEM.monotonic_s())
@@ -326,7 +326,7 @@ def main(folder: str, stream: socket.socket) -> int:
     return 1
 
 
-def _obeyed(player: Player, orders: queue.SimpleQueue[Order | None]) -> bool:
+def _obeyed(player: Player, orders: queue.Queue[Order | None]) -> bool:
     """Wait for the next step, and pass on what came until then; return whether there is still somebody there."""
     until_s = SYSTEM.monotonic_s() + (_STEP_S if player.is_playing else _BEAT_S)
     with contextlib.suppress(queue.Empty):
@@ -339,7 +339,7 @@ def _obeyed(player: Player, orders: queue.SimpleQueue[Order | None]) -> bool:
     return True
 
 
-def _hear(stream: socket.socket, orders: queue.SimpleQueue[Order | None]) -> None:
+def _hear(stream: socket.socket, orders: queue.Queue[Order | None]) -> None:
     with contextlib.suppress(OSError, msgspec.ValidationError), stream.makefile("rb") as lines:
         for line in lines:
             orders.put(msgspec.json.decode(line, type=Order))

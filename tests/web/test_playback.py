@@ -236,8 +236,8 @@ def test_a_player_goes_with_its_page_and_comes_back_with_its_console(g1: Standin
 def test_what_cannot_be_played_is_said_in_a_line(g1: Standing, open_page: Open, tmp_path: Path) -> None:
     data = g1.terminal.data
     torn, broken, hostile = (EpisodeBuilder(data, task=task) for task in ("torn", "broken", "hostile"))
-    for builder in (torn, broken, hostile):
-        walk(builder, seconds=1.0)
+    for builder, seconds in ((torn, 1.0), (broken, 1.0), (hostile, 120.0)):  # the last one plays until it is paused
+        walk(builder, seconds=seconds)
     torn.finish(torn=True)
     signals = broken.finish() / layout.SIGNALS
     signals.write_bytes(signals.read_bytes()[:300] + bytes(300))

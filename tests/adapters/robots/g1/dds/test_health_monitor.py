@@ -34,6 +34,16 @@ def test_of_a_twin_on_a_busy_machine_fewer_states_are_expected():
     assert why_not_arm(2, 20, 450.0) == why_not_arm(2, 0)
 
 
+def test_a_line_that_delivers_late_does_not_hide_what_it_loses():
+    monitor = HealthMonitor("eno1, domain 0")
+    state = messages.new_state()
+    state["quat_wxyz"][0, 0] = 1.0
+    for number in range(1600):  # of 3.2 s, within 3 s: what it held back comes faster
+        state["tick"] = 1000 + number * 2
+        monitor.on_states(state if number % 20 else state[:0], 0, number * 0.001875)
+    assert "its states come at 506 Hz; expected 500: 5 % are lost on the way" in monitor.why_not_arm(3.0)
+
+
 def test_after_a_silence_states_have_to_come_for_two_seconds_anew():
     monitor = HealthMonitor("eno1, domain 0")
     state = messages.new_state()
