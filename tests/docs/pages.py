@@ -187,7 +187,7 @@ PAGES = {
     "docs/g1-real.md": Page({
         "pip install": _INSTALLS,
         "station up g1-twin-motion --yes --record": Typed(elsewhere="tests/main_job/test_real_g1.py"),
-        "station up g1-twin-gantry": Typed(elsewhere="tests/main_job/test_gantry.py"),
+        "station up g1-twin-gantry": Typed(elsewhere="tests/main_job/test_proof_gantry.py"),
         "station check": Typed(elsewhere="tests/main_job/test_real_g1.py"),
         "station robot-twin g1 state_silent": Typed(elsewhere="tests/servers/test_robot_twin.py, beside one that runs"),
         "station robot-twin g1 --well": Typed(elsewhere="tests/servers/test_robot_twin.py, beside one that runs"),

@@ -14,6 +14,7 @@ from adapters.robots.g1.dds.health_monitor import SILENT_S
 from station.api.episode import open_episode
 from tests.cli.running import Home, new_home
 from tests.dds_domains import domain
+from tests.figures import Figures
 from tests.lateness import TooLate, Waits, in_time
 
 pytestmark = pytest.mark.timeout(300)
@@ -51,8 +52,11 @@ def on_time(trial: Callable[[], None]) -> None:
     in_time(once)
 
 
-def test_each_step_is_measured_and_what_came_of_it_stands_in_the_episode(hung: tuple[Home, list[str]]) -> None:
+def test_each_step_is_measured_and_what_came_of_it_stands_in_the_episode(
+    hung: tuple[Home, list[str]], proof: Figures
+) -> None:
     on_time(lambda: measure_each_step(*hung))
+    proof.figure("measures of the gantry's runbook that are as expected", 8)
 
 
 def measure_each_step(home: Home, sets: list[str]) -> None:
@@ -76,8 +80,11 @@ def measure_each_step(home: Home, sets: list[str]) -> None:
     assert [each["policy"] for each in audited["took_over"]] == ["joint-by-joint", "default-pose", "tracker"]
 
 
-def test_a_joint_that_is_wired_wrong_ends_it_and_is_named(hung: tuple[Home, list[str]], tmp_path: Path) -> None:
+def test_a_joint_that_is_wired_wrong_ends_it_and_is_named(
+    hung: tuple[Home, list[str]], tmp_path: Path, proof: Figures
+) -> None:
     on_time(lambda: find_wrong_wires(*hung, tmp_path))
+    proof.figure("joints of a gantry that are wired wrong, each named", 3)
 
 
 def find_wrong_wires(home: Home, sets: list[str], tmp_path: Path) -> None:
