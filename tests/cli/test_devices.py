@@ -237,6 +237,14 @@ def test_a_fake_headset_begins_with_the_first_that_listens(home: Home) -> None:
         assert fake.finish()[0] == 0
 
 
+def test_a_fake_page_says_that_no_server_is_there(home: Home) -> None:
+    with home.running("devices", "fake", "webxr", "--port", "1") as fake:
+        fake.wait_for("not open yet: ")
+        fake.wait_for("does a webxr server run? It tries again")
+        fake.interrupt()
+        assert fake.finish()[0] == 0
+
+
 def test_buttons_are_shown_with_what_a_file_changes(home: Home, tmp_path: Path) -> None:
     assert cells(words(home, "buttons", "pico"))["estop"] == ["left_stick_click", "emergency stop, latched"]
     changes = tmp_path / "mine.yaml"

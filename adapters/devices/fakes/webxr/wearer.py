@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import ssl
 import threading
 import time
@@ -19,7 +20,7 @@ from adapters.devices.fakes.pico.play import Wearer
 from adapters.devices.webxr.body import JOINTS as BODY
 from adapters.devices.webxr.body import KNUCKLES, PLACES
 from adapters.devices.webxr.controls import SENT, TOUCH_HOLD
-from adapters.devices.webxr.frame import PARTS, packed
+from adapters.devices.webxr.frame import FRAME, PARTS, packed
 from adapters.retarget import frames
 from adapters.retarget.human import SIDES
 from station import rotations
@@ -32,6 +33,8 @@ from station.web.keyring import Keyring
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
+
+log = logging.getLogger(__name__)
 
 _AGAIN_S = 0.1
 _SLICE_S = 0.1
@@ -74,7 +77,10 @@ class FakePage:
 
     def _run(self) -> None:
         self._go.wait()
-        play(self._wearer, lambda: opened(self._url, self._authority), self._stop.is_set, start_s=self._start_s)
+        play(
+            self._wearer, lambda: opened(self._url, self._authority), self._stop.is_set, start_s=self._start_s,
+            on_trouble=lambda why: log.warning("the fake page is not open: %s; it tries again", why),
+        )  # fmt: skip
 
 
 def play(
@@ -83,6 +89,7 @@ def play(
     stopping: Callable[[], bool],
     *,
     start_s: float = 0.0,
+    on_trouble: Callable[[str], object] = lambda why: None,
 ) -> None:
     """Send the frames of a script on time until asked to stop, by a page that is opened again when it is gone.
 
@@ -91,10 +98,11 @@ def play(
         open_page: Opens the page's socket.
         stopping: Whether to stop; looked at ten times a second at least.
         start_s: Time of the script to begin at [s].
+        on_trouble: Called with why the page could not be opened, or is gone; once for each reason.
     """
     from websockets.exceptions import WebSocketException
 
-    began_s = time.monotonic() - start_s
+    began_s, told = time.monotonic() - start_s, ""
     while not stopping():
         if wearer.fault(time.monotonic() - began_s, "crash"):
             time.sleep(_SLICE_S)
@@ -102,7 +110,11 @@ def play(
         try:
             with open_page() as socket:
                 _send(wearer, socket, stopping, began_s)
-        except (OSError, WebSocketException):
+        except (OSError, WebSocketException) as error:
+            why = str(error) or type(error).__name__
+            if why != told:
+                told = why
+                on_trouble(why)
             time.sleep(_AGAIN_S)
 
 
@@ -203,14 +215,9 @@ def seen_by_a_browser(body: Body) -> Floats:
 
 def poisoned(data: bytes) -> bytes:
     """Return a frame whose head is nowhere."""
-    return packed(**{**_fields(data), "head": np.full(7, np.nan)})
-
-
-def _fields(data: bytes) -> dict[str, Any]:
-    from adapters.devices.webxr.frame import FRAME
-
-    frame = np.frombuffer(data, FRAME)[0]
-    return {name: frame[name] for name in FRAME.names or ()}
+    frame = np.frombuffer(data, FRAME).copy()
+    frame["head"] = np.nan
+    return frame.tobytes()
 
 
 def _rows(rows: Floats) -> Floats:
@@ -225,4 +232,7 @@ def play_for_person(file: Path, port: int) -> None:
     set_on_signals(stop)
     wearer = Wearer(scripts.load(file, "webxr"))
     click.echo(f"a fake page opens http://127.0.0.1:{port}/; Ctrl-C takes it away", err=True)
-    play(wearer, lambda: opened(f"http://127.0.0.1:{port}/"), stop.is_set)
+    play(
+        wearer, lambda: opened(f"http://127.0.0.1:{port}/"), stop.is_set,
+        on_trouble=lambda why: click.echo(f"not open yet: {why}; does a webxr server run? It tries again", err=True),
+    )  # fmt: skip
