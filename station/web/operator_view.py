@@ -88,11 +88,5 @@ class OperatorView:
 
 
 def feeds_of(cameras: Sequence[str]) -> dict[str, str]:
-    """Return the cameras of both eyes by the name of their feed: one for both, or one for each.
-
-    Raises:
-        ValueError: there are more than two.
-    """
-    if len(cameras) > 2:
-        raise ValueError(f"cameras are {', '.join(cameras)}; expected one for both eyes, or left and right")
+    """Return the cameras of both eyes by the name of their feed: one for both, or left and right."""
     return dict(zip(("eye:left", "eye:right"), cameras, strict=False))

@@ -38,28 +38,27 @@ def measured(folder: Path) -> dict[str, dict[str, Any]]:
     }
 
 
-def on_time(trial: Callable[[], None]) -> None:
+def on_time(trial: Callable[[], int]) -> int:
     """Have a station try something, and again where it went wrong while a process of it waited for a processor: what
     joints answer is measured in real time, of a robot that is simulated in real time."""
 
-    def once() -> None:
+    def once() -> int:
         with Waits.watched() as waits:
             try:
-                trial()
+                return trial()
             except AssertionError as error:
                 raise TooLate(str(error), SILENT_S, waits.longest_s) from error
 
-    in_time(once)
+    return in_time(once)
 
 
 def test_each_step_is_measured_and_what_came_of_it_stands_in_the_episode(
     hung: tuple[Home, list[str]], proof: Figures
 ) -> None:
-    on_time(lambda: measure_each_step(*hung))
-    proof.figure("measures of the gantry's runbook that are as expected", 8)
+    proof.figure("measures of the gantry's runbook that are as expected", on_time(lambda: measure_each_step(*hung)))
 
 
-def measure_each_step(home: Home, sets: list[str]) -> None:
+def measure_each_step(home: Home, sets: list[str]) -> int:
     done = home.run("up", "g1-twin-gantry", "--yes", "--record", "--task", "gantry", "--for", "100ms", *sets)
     assert done.returncode == 0, done.stderr
     folder = Path(done.stdout.strip())
@@ -78,16 +77,17 @@ def measure_each_step(home: Home, sets: list[str]) -> None:
     audited = home.json("audit", "latest")
     assert (audited["different"], audited["observations"]["different"], audited["targets"]["different"]) == (0, 0, 0)
     assert [each["policy"] for each in audited["took_over"]] == ["joint-by-joint", "default-pose", "tracker"]
+    return len(found)
 
 
 def test_a_joint_that_is_wired_wrong_ends_it_and_is_named(
     hung: tuple[Home, list[str]], tmp_path: Path, proof: Figures
 ) -> None:
-    on_time(lambda: find_wrong_wires(*hung, tmp_path))
-    proof.figure("joints of a gantry that are wired wrong, each named", 3)
+    named = on_time(lambda: find_wrong_wires(*hung, tmp_path))
+    proof.figure("joints on a gantry that are wired wrong, each named", named, "", "3 of 3")
 
 
-def find_wrong_wires(home: Home, sets: list[str], tmp_path: Path) -> None:
+def find_wrong_wires(home: Home, sets: list[str], tmp_path: Path) -> int:
     text = Path("runbooks/g1-twin-gantry.yaml").read_text()
     short = tmp_path / "short.yaml"
     begins, goes_on = (
@@ -103,3 +103,4 @@ def find_wrong_wires(home: Home, sets: list[str], tmp_path: Path) -> None:
     assert "left_knee is not as expected (it alone follows): it moved the wrong way: " in line
     assert "; nor are left_elbow, right_elbow; " in line
     assert "right_elbow moved in its place: " in done.stderr
+    return done.stderr.count("NOT as expected")

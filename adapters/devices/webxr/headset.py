@@ -1,4 +1,4 @@
-"""What a page sends, judged, as a `station.operator.device.Device`: who drives, how old, and when the operator let go.
+"""Judges what a page sends, and gives it as a `station.operator.device.Device`.
 
 - One page at a time. A second one is refused, never mixed in; it takes the place of one that has been silent for long.
 - A frame is as old as its own stamp says: after a cut a line delivers what it held back, all at once. Its page's clock
@@ -15,6 +15,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from adapters.devices.webxr.controls import CONTROLS
@@ -30,7 +31,7 @@ LET_GO_S = 0.15
 """How long nothing is held after the operator let go [s]: seven periods of a loop at 50 Hz."""
 
 GIVEN_LATELY_S = 0.2
-"""Who has given no sample for longer holds nothing that could be let go [s]."""
+"""A page that has given no sample for longer has nothing to let go of [s]."""
 
 GIVEN_UP_S = 2.0
 """A page that has been silent for longer gives its place to another [s]."""
@@ -209,7 +210,4 @@ class Headset:
             return sample
         self._unseen -= {name for name, value in sample.controls.items() if abs(value) < _AT_REST}
         controls = {name: 0.0 if name in self._unseen else value for name, value in sample.controls.items()}
-        return OperatorSample(
-            capture_ns=sample.capture_ns, controls=controls, head=sample.head, left=sample.left, right=sample.right,
-            hands=sample.hands, body=sample.body,
-        )  # fmt: skip
+        return replace(sample, controls=controls)

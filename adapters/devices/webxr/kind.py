@@ -98,7 +98,7 @@ def _source(config: WebXRConfig, clock: Clock, start_s: float) -> Iterator[Sourc
                 address,
                 name,
                 cameras,
-                lambda new: server.call(pages.show, new),
+                lambda new: server.call(pages.feeds.put, new),
                 lambda cue: server.call(pages.tell, cue),
             ):
                 yield

@@ -20,7 +20,7 @@ from station.clock import Clock
 from station.operator.voice import Cue
 from station.web import sign_in
 from station.web.doorkeeper import Doorkeeper
-from station.web.feeds import Feeds, Frame
+from station.web.feeds import Feeds
 from station.web.keyring import Keyring
 from station.web.sockets import SIGNED_OUT, object_of, serve_feeds, until_first
 from station.web.stop_route import StopRoute
@@ -78,10 +78,6 @@ class HeadsetPages:
     def tell(self, cue: Cue) -> None:
         """Tell the page that drives what happens."""
         self._say({"t": "cue", "words": cue.words, "tune": cue.tune, "urgent": cue.is_urgent})
-
-    def show(self, frames: Mapping[str, Frame]) -> None:
-        """Show pictures."""
-        self.feeds.put(frames)
 
     def _say(self, told: dict[str, Any]) -> None:
         if self._told is not None and self._told.qsize() < _MOST_TOLD:

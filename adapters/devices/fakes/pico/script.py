@@ -1,6 +1,6 @@
 """The script of a fake headset, a JSON file; what it may hold is told in `adapters.devices.fakes.pico`.
 
-A headset's page (`adapters.devices.fakes.webxr`) plays the same scripts.
+The fake of a headset's page (`adapters.devices.fakes.webxr`) plays such scripts too.
 """
 
 from __future__ import annotations

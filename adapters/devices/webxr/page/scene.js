@@ -51,6 +51,7 @@ export class Scene {
     this.urgent_until = 0;
     this.words_number = 0;
     this.drawn = 0;
+    this.is_frozen = false;
   }
 
   /**
@@ -97,7 +98,8 @@ export class Scene {
       if (picture) {
         const made = this.texture(eye, picture.bitmap, picture.number), high = WIDE_M / made.ratio;
         below = -high / 2;
-        this.box(-WIDE_M / 2, below, WIDE_M, high, now - picture.at > FROZEN_MS ? 0.35 : 1);
+        this.is_frozen = now - picture.at > FROZEN_MS;
+        this.box(-WIDE_M / 2, below, WIDE_M, high, this.is_frozen ? 0.35 : 1);
       }
       if (this.words && now < this.words_until) {
         this.texture("words", this.page, this.words_number);

@@ -207,7 +207,9 @@ def test_each_eye_has_its_camera(server: WebXRServer, open_page: Open) -> None:
         page.until("drivePage.pictures.newest.size === 2 && drivePage.pictures.shown > 20")
         page.until("drivePage.headset.scene.textures.size >= 2")
         assert page.read("drivePage.pictures.of('left') !== drivePage.pictures.of('right')")
+        page.until("!drivePage.headset.scene.is_frozen")
         wait_until(lambda: server.state == "live")
+    page.until("drivePage.headset.scene.is_frozen")
 
 
 def test_its_stop_reaches_the_bus(server: WebXRServer, open_page: Open) -> None:
