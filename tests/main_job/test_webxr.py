@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
+from tests.adapters.devices.webxr.headset_page import PHONE
 from tests.cli.running import Home
 from tests.main_job.webxr_runs import Worn, drive
 from tests.servers.g1_station import LIGHT
@@ -45,6 +46,37 @@ def test_x5_the_palms_of_a_robot_follow_the_hands_in_a_headset(tmp_path: Path, b
     assert (checked["dropped"], checked["falls"]) == (0, 0)
 
 
+@pytest.mark.usefixtures("kord")
+def test_a_phone_in_a_hand_leads_the_tool_of_an_arm_while_a_thumb_holds(
+    tmp_path: Path, browser: Any, processes: None
+) -> None:
+    worn = Worn(Home(tmp_path), browser, "kassow-sim-phone", "teleop.driver=arm-tcp")
+    try:
+        page = worn.page(emulated=PHONE, size=browsers.PHONE, has_touch=True).enter()
+        wait_until(lambda: b'"live"' in (worn.bus.get(keys.operator_status("webxr")) or b""))
+        place = lambda: codec.parse_f64(worn.bus.get(keys.state_tcp("kassow_kr810")) or b"")[:3]  # noqa: E731
+        start = place()
+        page.do("xr.position.set(0, 1.5, -0.1)")
+        page.tab.wait_for_timeout(500)
+        np.testing.assert_array_equal(place(), start, "without a thumb nothing moves")
+        page.touch("left")
+        worn.station.wait_for("operator-engaged")
+        page.do("xr.position.set(0.03, 1.56, -0.15)")  # to the right, up, ahead
+        wait_until(lambda: np.linalg.norm(place() - start - [0.05, -0.03, 0.06]) < 1e-3)
+        page.touch("left", "up")
+        worn.station.wait_for("operator-disengaged")
+        page.do("xr.position.set(0, 1.5, -0.1)")
+        page.tab.wait_for_timeout(500)
+        np.testing.assert_allclose(place() - start, [0.05, -0.03, 0.06], atol=1e-3)
+        assert page.trouble == []
+        page.close()
+        worn.end()
+    finally:
+        worn.close()
+    checked = worn.home.json("check", "latest")
+    assert (checked["dropped"], checked["audit"]["different"]) == (0, 0), checked["audit"]
+
+
 def test_a_thumb_on_a_phone_walks_a_robot_and_off_it_the_robot_stands(
     tmp_path: Path, browser: Any, processes: None
 ) -> None:
@@ -52,7 +84,7 @@ def test_a_thumb_on_a_phone_walks_a_robot_and_off_it_the_robot_stands(
         Home(tmp_path), browser, "g1-velocity-phone", "robot.gate.hold_after_s=5.0", "robot.gate.return_after_s=20.0"
     )
     try:
-        page = worn.page(has_headset=False, size=browsers.PHONE, has_touch=True)
+        page = worn.page(emulated="", size=browsers.PHONE, has_touch=True)
         wait_until(lambda: b'"live"' in (worn.bus.get(keys.operator_status("webxr")) or b""))
         box = page.tab.locator("#pad-left").bounding_box()
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2

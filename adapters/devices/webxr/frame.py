@@ -139,7 +139,8 @@ def _controls(frame: np.void, has: set[str], touch_scale: float) -> dict[str, fl
         )  # a gamepad's y is towards the person
         if not abs(value) <= 1.0:
             raise BadFrame(f"{name}: {value:g}, expected -1 to 1")
-        found[name] = value * touch_scale if "touch" in has else value
+        is_slow = "touch" in has and name.endswith(("stick_x", "stick_y"))
+        found[name] = value * touch_scale if is_slow else value
     if "touch" in has:
         found[TOUCH_HOLD] = 1.0 if values[-1] > 0.5 else 0.0
     return found

@@ -180,7 +180,8 @@ def frame_of(sample: OperatorSample, taken_ms: float, sent_ms: float) -> bytes:
     """
     values: dict[str, Any] = {"taken_ms": taken_ms, "sent_ms": sent_ms}
     is_phone = TOUCH_HOLD in sample.controls
-    for name in () if is_phone else ("head", "left", "right"):
+    is_worn = not is_phone or sample.head is None  # a phone that is itself the hand has no head
+    for name in ("head", "left", "right") if is_worn else ():
         if (pose := getattr(sample, name)) is not None:
             values[name] = _rows(np.concatenate([pose.position, pose.quat_wxyz])[np.newaxis])[0]
     parts = sum(PARTS[name] for name in values if name in PARTS)

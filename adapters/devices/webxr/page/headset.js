@@ -1,4 +1,5 @@
-// A WebXR session: what the browser tells of head, controllers and hands goes out with every animation frame.
+// A WebXR session: what the browser tells of head, controllers and hands goes out with every animation frame. A phone that
+// shows the room has none of them: it is itself the right hand, and thumbs on its screen are the buttons.
 import { BODY, Frame, JOINTS, PARTS } from "./frame.js";
 import { Scene } from "./scene.js";
 
@@ -13,13 +14,22 @@ export async function modeOf() {
   return "";
 }
 
+/** Whether an input stays: a controller, or a hand. A touch of a screen, or a pinch where somebody looks, comes and goes. @param {any} source */
+const stays = (source) => source.targetRayMode === "tracked-pointer";
+
 export class Headset extends EventTarget {
-  /** @param {import("./line.js").Line} line @param {import("./pictures.js").Pictures} pictures @param {HTMLCanvasElement} canvas */
-  constructor(line, pictures, canvas) {
+  /**
+   * @param {import("./line.js").Line} line @param {import("./pictures.js").Pictures} pictures
+   * @param {HTMLCanvasElement} canvas @param {import("./touch.js").Touch} touch the thumbs on a phone's screen
+   */
+  constructor(line, pictures, canvas, touch) {
     super();
     this.line = line;
     this.pictures = pictures;
     this.canvas = canvas;
+    this.touch = touch;
+    /** Whether the session's screen is in a hand, and not before the eyes. */
+    this.is_phone = false;
     this.frame = new Frame();
     this.poses = new Float32Array(JOINTS * 16);
     /** @type {any} */
@@ -35,18 +45,28 @@ export class Headset extends EventTarget {
   /** Begins a session; to be called by a touch or a click. @param {string} mode */
   async enter(mode) {
     const xr = /** @type {any} */ (navigator).xr;
-    const session = await xr.requestSession(mode, { requiredFeatures: ["local-floor"], optionalFeatures: ["hand-tracking", "body-tracking"] });
+    const session = await xr.requestSession(mode, {
+      requiredFeatures: ["local-floor"], optionalFeatures: ["hand-tracking", "body-tracking", "dom-overlay"], domOverlay: { root: document.body },
+    });
+    this.is_phone = session.interactionMode === "screen-space";
+    if (this.is_phone && !session.domOverlayState) {
+      await session.end();
+      throw new Error("this browser shows no page over the room, so a phone would have no stop in view");
+    }
     this.session = session;
     const gl = /** @type {WebGL2RenderingContext | null} */ (this.canvas.getContext("webgl2", { xrCompatible: true }));
     if (!gl) { await session.end(); throw new Error("this browser draws no WebGL, which WebXR needs"); }
     await gl.makeXRCompatible?.();
-    this.scene ??= new Scene(gl, mode === "immersive-ar");
+    if (!this.is_phone) this.scene ??= new Scene(gl, mode === "immersive-ar");
     session.updateRenderState({ baseLayer: new (/** @type {any} */ (window).XRWebGLLayer)(session, gl) });
     this.space = await session.requestReferenceSpace("local-floor");
     this.space.addEventListener("reset", () => this.letGo("the headset's world was placed anew"));
-    session.addEventListener("end", () => { this.session = null; this.letGo("the session ended"); this.dispatchEvent(new Event("change")); });
+    session.addEventListener("end", () => { this.session = null; this.touch.release(); this.letGo("the session ended"); this.dispatchEvent(new Event("change")); });
     session.addEventListener("visibilitychange", () => { if (session.visibilityState !== "visible") this.letGo("the headset's menu is open, or it was taken off"); });
-    session.addEventListener("inputsourceschange", () => { this.letGo("a controller or a hand came or went"); this.tellAbout(); });
+    session.addEventListener("inputsourceschange", (/** @type {any} */ event) => {
+      if ([...event.added, ...event.removed].some(stays)) { this.letGo("a controller or a hand came or went"); this.tellAbout(); }
+    });
+    this.tellAbout();
     this.dispatchEvent(new Event("change"));
     session.requestAnimationFrame((/** @type {number} */ now, /** @type {any} */ frame) => this.step(now, frame));
   }
@@ -60,8 +80,9 @@ export class Headset extends EventTarget {
 
   tellAbout() {
     const about = { browser: navigator.userAgent.slice(0, 200) };
+    if (this.session && this.is_phone) about.right_input = "phone";
     for (const source of this.session?.inputSources ?? []) {
-      if (source.handedness !== "none") about[`${source.handedness}_input`] = source.hand ? "hand" : String(source.profiles?.[0] ?? "");
+      if (source.handedness !== "none" && stays(source)) about[`${source.handedness}_input`] = source.hand ? "hand" : String(source.profiles?.[0] ?? "");
     }
     this.line.say({ t: "about", about });
   }
@@ -76,21 +97,31 @@ export class Headset extends EventTarget {
     if (session.visibilityState !== "visible" || !viewer) return;
     this.frames += 1;
     this.frame.clear();
-    this.frame.pose("head", viewer.transform);
-    for (const source of session.inputSources) {
-      const side = source.handedness;
-      if (side === "left" || side === "right") this.input(xr, source, side);
+    if (this.is_phone) this.phone(viewer);
+    else {
+      this.frame.pose("head", viewer.transform);
+      for (const source of session.inputSources) {
+        const side = source.handedness;
+        if ((side === "left" || side === "right") && stays(source)) this.input(xr, source, side);
+      }
+      if (xr.body) this.body(xr);
     }
-    if (xr.body) this.body(xr);
     this.line.send(this.frame, now);
+  }
+
+  /** @param {any} viewer where the phone is */
+  phone(viewer) {
+    if (!viewer.emulatedPosition) this.frame.pose("right", viewer.transform);
+    this.frame.controls[7] = this.touch.right.is_held ? 1 : 0;
+    this.frame.controls[14] = this.touch.is_held ? 1 : 0;
+    this.frame.parts |= PARTS.controls_right | PARTS.touch;
   }
 
   /** @param {any} xr @param {any} source @param {"left" | "right"} side */
   input(xr, source, side) {
     if (source.hand) { this.hand(xr, source.hand, side); return; }
     const grip = source.gripSpace ? xr.getPose(source.gripSpace, this.space) : null;
-    if (!grip) return;
-    this.frame.pose(side, grip.transform);
+    if (grip && !grip.emulatedPosition) this.frame.pose(side, grip.transform);  // what a headset only guesses leads no hand
     const pad = source.gamepad;
     if (!pad || pad.mapping !== "xr-standard") return;
     const controls = this.frame.controls, first = side === "left" ? 0 : 7;

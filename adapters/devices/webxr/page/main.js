@@ -8,14 +8,19 @@ import { Touch } from "./touch.js";
 
 const MOST_CUES = 4, NOT_TAKEN_MS = 350;
 const MODES = { "immersive-ar": "Enter, with the room in view", "immersive-vr": "Enter" };
+/** What a pad is for, by whether the phone is itself the hand: on it, and as it is read out. */
+const PADS = {
+  "pad-left": [["hold to drive", "Left stick; it drives only while it is held"], ["hold to move", "The robot follows the phone only while this is held"]],
+  "pad-right": [["turn", "Right stick"], ["hold to close", "The hand closes while this is held"]],
+};
 
 const answer = await fetch("/api/me", { cache: "no-store" });
 const me = answer.ok ? await answer.json() : { stop_key: "", eyes: [] };
 
 const line = new Line();
 const pictures = new Pictures(Array.isArray(me.eyes) ? me.eyes.map(String) : []);
-const headset = new Headset(line, pictures, byId("scene"));
 const touch = new Touch(line, byId("pad-left"), byId("pad-right"), () => headset.session === null);
+const headset = new Headset(line, pictures, byId("scene"), touch);
 
 const cues = byId("cues");
 /** @param {string} words @param {boolean} is_urgent */
@@ -26,7 +31,7 @@ function tell(words, is_urgent) {
 line.addEventListener("cue", (/** @type {any} */ event) => {
   tell(event.detail.words, event.detail.urgent === true);
   headset.scene?.say(brief(event.detail.words, 120), event.detail.urgent === true);
-  if (headset.session === null) navigator.vibrate?.(event.detail.urgent === true ? 400 : 60);
+  if (headset.session === null || headset.is_phone) navigator.vibrate?.(event.detail.urgent === true ? 400 : 60);
 });
 line.addEventListener("let-go", (/** @type {any} */ event) => tell(`let go: ${event.detail}`, false));
 line.addEventListener("change", () => {
@@ -39,11 +44,19 @@ const enter = byId("enter"), mode = await modeOf();
 const why_none = isSecureContext ? "This browser has no WebXR with a headset; the pads below drive."
   : "WebXR needs https, or a cable and http://localhost; the pads below drive.";
 const showHeadset = () => {
-  write(byId("headset-words"), headset.session ? "In the headset." : mode ? "A headset is there." : why_none);
-  show(enter, Boolean(mode) && !headset.session);
-  write(enter, MODES[mode] ?? "");
+  const in_hand = Boolean(headset.session) && headset.is_phone;
+  write(byId("headset-words"), in_hand ? "This phone is the robot’s right hand." : headset.session ? "In the headset." : mode ? "This browser has WebXR." : why_none);
+  show(enter, in_hand || (Boolean(mode) && !headset.session));
+  write(enter, in_hand ? "Leave" : MODES[mode] ?? "");
+  document.documentElement.classList.toggle("in-hand", in_hand);
+  for (const [id, names] of Object.entries(PADS)) {
+    const [shown, read] = names[Number(in_hand)], pad = byId(id);
+    pad.setAttribute("aria-label", read);
+    write(/** @type {HTMLElement} */ (pad.querySelector("b")), shown);
+  }
 };
 enter.addEventListener("click", async () => {
+  if (headset.session) { headset.session.end(); return; }
   enter.disabled = true;
   try { await headset.enter(mode); } catch (error) { tell(`no session: ${error instanceof Error ? error.message : error}`, true); }
   enter.disabled = false;

@@ -1,4 +1,5 @@
-// Two sticks under two thumbs. The left one is the dead-man as well: without a finger on it nothing is asked for.
+// Two pads under two thumbs: sticks, or where the phone is itself a hand, buttons. The left one is the dead-man as well: without
+// a finger on it nothing is asked for.
 import { Frame, PARTS } from "./frame.js";
 
 const REACH = 0.33;  // of a pad's width, from its middle to full deflection
@@ -35,6 +36,8 @@ class Pad {
     this.set(x, y);
   }
 
+  get is_held() { return this.pointer !== null; }
+
   release() {
     this.pointer = null;
     this.set(0, 0);
@@ -46,7 +49,7 @@ class Pad {
     this.y = y;
     this.node.style.setProperty("--x", String(x * 0.95));
     this.node.style.setProperty("--y", String(y * 0.95));
-    this.node.classList.toggle("held", this.pointer !== null);
+    this.node.classList.toggle("held", this.is_held);
   }
 }
 
@@ -68,7 +71,7 @@ export class Touch extends EventTarget {
     ])) target.addEventListener(name, () => this.end(why));
   }
 
-  get is_held() { return this.left.pointer !== null; }
+  get is_held() { return this.left.is_held; }
 
   /** Sends frames from now on: at once where there is no headset, else from the first touch. */
   begin() {
@@ -80,9 +83,13 @@ export class Touch extends EventTarget {
   /** @param {string} why */
   end(why) {
     const was_held = this.is_held;
+    this.release();
+    if (was_held) this.line.letGo(why);
+  }
+
+  release() {
     this.left.release();
     this.right.release();
-    if (was_held) this.line.letGo(why);
     this.dispatchEvent(new Event("change"));
   }
 

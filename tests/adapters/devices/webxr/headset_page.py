@@ -20,10 +20,27 @@ from tests.waiting import wait_until
 from tests.web.browser import Page
 
 IWER = Path("tests/web/vendor/iwer.min.js")
-EMULATED = """
-window.xr = new IWER.XRDevice(IWER.metaQuest3);
+INSTALLED = """
 xr.installRuntime({forceInstall: true});
+Object.defineProperty(XRPose.prototype, "emulatedPosition", {get: () => window.is_guessed === true});
 """
+"""IWER says of every grip that its place is only guessed, and of no other pose."""
+HEADSET = "window.xr = new IWER.XRDevice(IWER.metaQuest3);" + INSTALLED
+PHONE = (
+    """
+window.xr = new IWER.XRDevice({
+  ...IWER.metaQuest3, name: "phone", controllerConfig: undefined, interactionMode: "screen-space",
+  supportedSessionModes: ["inline", "immersive-ar"],
+  supportedFeatures: ["viewer", "local", "local-floor"], internalNominalFrameRate: 30,
+});
+"""
+    + INSTALLED
+    + """
+window.overlay = {type: "screen"};
+Object.defineProperty(XRSession.prototype, "domOverlayState", {get: () => window.overlay});
+"""
+)
+"""An Android phone, as far as WebXR says what one is: IWER has none, and no page over the room."""
 
 
 class WebXRServer:
@@ -90,10 +107,10 @@ class WebXRServer:
 class HeadsetPage(Page):
     """Its page in a browser that has a headset, or in one that has none."""
 
-    def __init__(self, browser: Any, server: WebXRServer, *, has_headset: bool = True, **more: Any) -> None:
+    def __init__(self, browser: Any, server: WebXRServer, *, emulated: str = HEADSET, **more: Any) -> None:
         super().__init__(browser, "about:blank", **more)
-        if has_headset:
-            self.context.add_init_script(IWER.read_text(encoding="utf-8") + EMULATED)
+        if emulated:
+            self.context.add_init_script(IWER.read_text(encoding="utf-8") + emulated)
         self.tab.goto(server.link)
         self.until("window.drivePage && drivePage.is_ready")
 
@@ -102,6 +119,9 @@ class HeadsetPage(Page):
         self.until("drivePage.line.is_up")
         self.tab.locator("#enter").click()
         self.until("drivePage.headset.frames > 5")
+        self.do(
+            "document.querySelector('[data-webxr_runtime]').style.pointerEvents = 'none'"
+        )  # IWER's canvas lies on the page
         return self
 
     def do(self, statements: str) -> Any:
@@ -111,6 +131,17 @@ class HeadsetPage(Page):
     def squeeze(self, button: str, side: str = "right", value: float = 1.0) -> None:
         """Press a button of a controller."""
         self.do(f"xr.controllers.{side}.updateButtonValue('{button}', {value})")
+
+    def touch(self, pad: str, kind: str = "down") -> None:
+        """Put a thumb of its own on the middle of a pad, or take it off (``up``)."""
+        self.tab.locator(f"#pad-{pad}").evaluate(
+            """(node, [kind, id]) => {
+            const {left, top, width, height} = node.getBoundingClientRect();
+            const place = {clientX: left + width / 2, clientY: top + height / 2};
+            node.dispatchEvent(new PointerEvent(`pointer${kind}`, {...place, pointerId: id, bubbles: true}));
+        }""",
+            [kind, 7 if pad == "left" else 8],
+        )
 
 
 @contextlib.contextmanager

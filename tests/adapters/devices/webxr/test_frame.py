@@ -11,7 +11,7 @@ import pytest
 
 from adapters.devices.fakes.webxr.wearer import frame_of, seen_by_a_browser
 from adapters.devices.webxr.body import JOINTS as BODY
-from adapters.devices.webxr.controls import CONTROLS, SENT
+from adapters.devices.webxr.controls import CONTROLS, SENT, TOUCH_HOLD
 from adapters.devices.webxr.frame import FRAME, PARTS, BadFrame, packed, parse, sample_of
 from adapters.devices.webxr.kind import KIND
 from adapters.retarget.calibration import from_height
@@ -128,6 +128,17 @@ def test_the_fake_sends_what_comes_back():
         np.testing.assert_allclose(there.position, here.position, atol=1e-6)
         np.testing.assert_allclose(there.quat_wxyz, here.quat_wxyz, atol=1e-6)
     assert found.controls == given.controls
+
+
+def test_a_phone_that_is_itself_the_hand_has_no_head_and_closes_the_hand_all_the_way():
+    held = {**dict.fromkeys((*SENT, TOUCH_HOLD), 0.0), TOUCH_HOLD: 1.0, "right_trigger": 1.0, "right_stick_x": 1.0}
+    given = OperatorSample(right=Pose(np.array([0.4, -0.3, 1.1]), np.array([0.5, 0.5, -0.5, 0.5])), controls=held)
+    found = sample_of(parse(frame_of(given, 1.0, 2.0)), 0, {}, 0.5)
+    assert (found.head, found.left) == (None, None)
+    assert found.right is not None
+    assert given.right is not None
+    np.testing.assert_allclose(found.right.position, given.right.position, atol=1e-6)
+    assert found.controls == held | {"right_stick_x": 0.5}
 
 
 def test_the_page_has_the_same_layout():

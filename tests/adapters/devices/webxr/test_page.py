@@ -19,7 +19,7 @@ from station.bus.address import BusAddress
 from station.bus.joints import SMPL_24
 from station.life import estop
 from station.life.stop_button import StopButton
-from tests.adapters.devices.webxr.headset_page import HeadsetPage, WebXRServer
+from tests.adapters.devices.webxr.headset_page import HEADSET, PHONE, HeadsetPage, WebXRServer
 from tests.waiting import wait_until
 from tests.web import browser as browsers
 from tests.web.cameras import cameras
@@ -213,7 +213,7 @@ def test_each_eye_has_its_camera(server: WebXRServer, open_page: Open) -> None:
 
 
 def test_its_stop_reaches_the_bus(server: WebXRServer, open_page: Open) -> None:
-    page = open_page(has_headset=False)
+    page = open_page(emulated="")
     page.press_stop()
     page.until("drivePage.sender.press?.taken_at > 0")
     wait_until(lambda: estop.latched(server.bus.read(estop.KEYS).get) is not None)
@@ -221,7 +221,7 @@ def test_its_stop_reaches_the_bus(server: WebXRServer, open_page: Open) -> None:
 
 
 def test_a_thumb_drives_while_it_is_on_the_pad(server: WebXRServer, open_page: Open) -> None:
-    page = open_page(has_headset=False, size=browsers.PHONE, has_touch=True)
+    page = open_page(emulated="", size=browsers.PHONE, has_touch=True)
     page.until("drivePage.line.is_up")
     box = page.tab.locator("#pad-left").bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -236,10 +236,88 @@ def test_a_thumb_drives_while_it_is_on_the_pad(server: WebXRServer, open_page: O
     assert server.sample.controls["left_stick_y"] == 0.0
 
 
+@pytest.fixture
+def phone(open_page: Open) -> HeadsetPage:
+    """A phone that is itself the hand."""
+    return open_page(emulated=PHONE, size=browsers.PHONE, has_touch=True).enter()
+
+
+def test_a_phone_is_itself_the_right_hand_while_a_thumb_holds(server: WebXRServer, phone: HeadsetPage) -> None:
+    phone.do(f"xr.position.set(0.2, 1.1, -0.5); xr.quaternion.set(0, {HALF}, 0, {HALF})")
+    wait_until(lambda: server.sample.right is not None and abs(server.sample.right.position[0] - 0.5) < 1e-4)
+    sample = server.sample
+    assert sample.right is not None
+    np.testing.assert_allclose(sample.right.position, [0.5, -0.2, 1.1], atol=1e-5)
+    np.testing.assert_allclose(sample.right.quat_wxyz, [HALF, 0.0, 0.0, HALF], atol=1e-5)
+    assert (sample.head, sample.left, sample.controls["touch_hold"]) == (None, None, 0.0)
+    phone.touch("left")
+    phone.touch("right")
+    wait_until(lambda: server.sample.controls.get("touch_hold") == 1.0)
+    wait_until(lambda: server.sample.controls.get("right_trigger") == 1.0)
+    phone.touch("right", "up")
+    wait_until(lambda: server.sample.controls.get("right_trigger") == 0.0)
+    assert server.sample.controls["touch_hold"] == 1.0
+    phone.touch("left", "up")
+    wait_until(lambda: server.sample.controls.get("touch_hold") == 0.0)
+    told = lambda: codec.parse_facts(server.bus.get(keys.server("webxr")))["detail"]  # noqa: E731
+    wait_until(lambda: told().get("right_input") == "phone")
+
+
+def test_a_touch_is_no_controller_that_came(server: WebXRServer, phone: HeadsetPage) -> None:
+    """A browser tells of each touch of the screen, and of each pinch where somebody looks, as of a new input."""
+    phone.touch("left")
+    wait_until(lambda: server.sample.controls.get("touch_hold") == 1.0)
+    phone.do("""for (const targetRayMode of ["screen", "transient-pointer"]) {
+        const told = {added: [{targetRayMode, handedness: "right"}], removed: []};
+        drivePage.headset.session.dispatchEvent(Object.assign(new Event("inputsourceschange"), told));
+    }""")
+    phone.tab.wait_for_timeout(300)
+    assert server.sample.controls["touch_hold"] == 1.0
+    assert "let go" not in phone.tab.locator("#cues").text_content()
+
+
+def test_x2_a_phone_that_leaves_the_room_holds_nothing(server: WebXRServer, phone: HeadsetPage) -> None:
+    phone.touch("left")
+    wait_until(lambda: server.sample.controls.get("touch_hold") == 1.0)
+    phone.tab.get_by_role("button", name="Leave").click()
+    wait_until(lambda: server.sample.controls.get("touch_hold") == 0.0)
+    phone.tab.wait_for_timeout(300)
+    assert server.sample.controls["touch_hold"] == 0.0
+    assert server.sample.right is None
+
+
+@pytest.mark.parametrize("emulated", [PHONE, HEADSET], ids=["a phone", "a headset"])
+def test_a_place_that_is_only_guessed_leads_no_hand(server: WebXRServer, open_page: Open, emulated: str) -> None:
+    page = open_page(emulated=emulated).enter()
+    wait_until(lambda: server.sample.right is not None)
+    page.do("window.is_guessed = true")
+    wait_until(lambda: server.state == "live" and server.sample.right is None)
+    assert "right_trigger" in server.sample.controls, "its buttons are as good as before"
+
+
+def test_a_phone_without_the_stop_in_view_is_no_hand(server: WebXRServer, open_page: Open) -> None:
+    page = open_page(emulated=PHONE, size=browsers.PHONE)
+    page.do("window.overlay = null")
+    page.until("drivePage.line.is_up")
+    page.tab.locator("#enter").click()
+    page.until("document.querySelector('#cues .urgent')?.textContent.includes('no stop in view')")
+    assert page.read("drivePage.headset.session === null && drivePage.headset.frames === 0")
+
+
+def test_nobody_is_left_out_by_a_phone_in_the_hand(phone: HeadsetPage) -> None:
+    assert phone.violations() == []
+    assert [phone.tab.locator(each).is_visible() for each in ("#stop", "#pad-left", "#pad-right", "#enter")] == [
+        True
+    ] * 4
+    assert phone.read("document.documentElement.scrollHeight <= innerHeight")
+    phone.press_stop()
+    phone.until("drivePage.sender.press?.taken_at > 0")
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("size", [browsers.DESKTOP, browsers.PHONE, browsers.SMALL])
 def test_nobody_is_left_out(server: WebXRServer, open_page: Open, size: tuple[int, int], theme: str) -> None:
-    page = open_page(has_headset=False, size=size, color_scheme=theme)
+    page = open_page(emulated="", size=size, color_scheme=theme)
     assert page.violations() == []
     assert page.tab.locator("#stop").is_visible()
     wide = page.read("[document.documentElement.scrollWidth, innerWidth]")
