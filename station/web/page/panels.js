@@ -105,7 +105,7 @@ export function showEvents(link) {
       const line = el("li", ["warning", "error"].includes(event.severity) ? event.severity : "info");
       const at = new Date(Date.now() - number(event.age_s, 0) * 1000);
       line.append(el("time", "", at.toTimeString().slice(0, 8)), el("b", "", brief(event.source, 40)), el("span", "", brief(event.text || event.name)));
-      line.title = brief(event.name, 80);
+      line.title = brief(event.text || event.name);
       box.prepend(line);
     }
     while (box.childElementCount > MOST_EVENTS) box.lastElementChild.remove();
