@@ -20,13 +20,13 @@ from adapters.policies.homie import HomiePolicy
 from adapters.policies.walk.policy import G1WalkPolicy
 from adapters.robots.g1.joints import LEGS, WAIST
 from station import registry
-from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
+from station.protocols import Floats, Floats32, JointTargets, RobotState
 
 _BODY = len(LEGS) + len(WAIST)
 
 
-class LegTargetsPolicy:
-    """Implements `station.protocols.Policy`; observation and action are those of the policy that stands.
+class LegTargetsPolicy(G1ArmsPolicy):
+    """Observation and action are those of the policy that stands.
 
     Args:
         checkpoint: Of the policy that stands.
@@ -41,33 +41,19 @@ class LegTargetsPolicy:
     def __init__(
         self, checkpoint: Path, *, legs: str = G1WalkPolicy.NAME, legs_options: dict[str, Any] | None = None
     ) -> None:
-        self._inside = G1ArmsPolicy(checkpoint, legs=legs, legs_options=legs_options)
-        given = self._inside.spec
-        self._stand: Floats = registry.find("command", given.command).default[: -len(ARMS)]
+        super().__init__(checkpoint, legs=legs, legs_options=legs_options)
+        self._stand: Floats = registry.find("command", self._spec.command).default[: -len(ARMS)]
         self._spec = replace(
-            given, name="g1-leg-targets", command="g1-arms-leg-targets", command_lower=None, command_upper=None
+            self._spec, name="g1-leg-targets", command="g1-arms-leg-targets", command_lower=None, command_upper=None
         )
-
-    @property
-    def spec(self) -> PolicySpec:
-        """The constants of the policy inside, for another command."""
-        return self._spec
-
-    def reset(self) -> None:
-        """Forget what the policy inside remembers."""
-        self._inside.reset()
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation of the policy inside, which is to stand."""
-        return self._inside.observe(state, self._standing(command))
-
-    def act(self, observation: Floats32) -> Floats32:
-        """Return the raw output of the policy inside."""
-        return self._inside.act(observation)
+        return super().observe(state, self._standing(command))
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return the targets of the policy inside; as far as the share says, those that came."""
-        made, share = self._inside.targets(action, self._standing(command)), command[SHARE]
+        made, share = super().targets(action, self._standing(command)), command[SHARE]
         asked = made.q.copy()
         asked[:SHARE], asked[SHARE:_BODY] = command[:SHARE], 0.0
         wanted = JointTargets(asked, *HomiePolicy.GAINS)
@@ -76,10 +62,6 @@ class LegTargetsPolicy:
             for own, theirs in ((made.q, wanted.q), (made.kp, wanted.kp), (made.kd, wanted.kd))
         )
         return JointTargets(q, kp, kd)
-
-    def restore(self, observation: Floats32) -> None:
-        """Restore what the policy inside remembers."""
-        self._inside.restore(observation)
 
     def _standing(self, command: Floats) -> Floats:
         """Return the command of the policy inside: no velocity, and the arms as they are commanded."""
