@@ -48,7 +48,7 @@ export class Headset extends EventTarget {
     const session = await xr.requestSession(mode, {
       requiredFeatures: ["local-floor"], optionalFeatures: ["hand-tracking", "body-tracking", "dom-overlay"], domOverlay: { root: document.body },
     });
-    this.is_phone = session.interactionMode === "screen-space";
+    this.is_phone = session.interactionMode === "screen-space" || session.domOverlayState?.type === "screen";  // older ones have but one
     if (this.is_phone && !session.domOverlayState) {
       await session.end();
       throw new Error("this browser shows no page over the room, so a phone would have no stop in view");
