@@ -67,6 +67,7 @@ DEFAULTS: dict[str, Phrase] = {
     # the device
     "operator-live": _said("{device} is there", "up", "device"),
     "operator-lost": _urgent("{device} lost", "lost", "device"),
+    "operator-lost new=0": _said("waiting for {device}", "note", "device"),  # it has not been there yet
     # stops, and the robot
     "estop": _urgent("emergency stop", "alarm", "stop"),
     "operator-stop-failed": _urgent("the stop was not taken", "alarm", "stop"),
