@@ -104,8 +104,10 @@ export function showEvents(link) {
     for (const event of lines) {
       const line = el("li", ["warning", "error"].includes(event.severity) ? event.severity : "info");
       const at = new Date(Date.now() - number(event.age_s, 0) * 1000);
-      line.append(el("time", "", at.toTimeString().slice(0, 8)), el("b", "", brief(event.source, 40)), el("span", "", brief(event.text || event.name)));
-      line.title = brief(event.text || event.name);
+      const words = el("span", "", brief(event.text || event.name));
+      words.title = words.textContent;
+      line.append(el("time", "", at.toTimeString().slice(0, 8)), el("b", "", brief(event.source, 40)), words);
+      line.title = brief(event.name, 80);
       box.prepend(line);
     }
     while (box.childElementCount > MOST_EVENTS) box.lastElementChild.remove();
