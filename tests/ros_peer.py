@@ -3,6 +3,7 @@
 Runs in the Python of a ROS 2, so it imports nothing of the station or of its tests.
 """
 
+import array
 import importlib
 import json
 import sys
@@ -20,10 +21,18 @@ def found(name):
 
 
 def filled(message, fields):
+    """Fill a message; octets and arrays of them are hexadecimal."""
     for name, value in fields.items():
         part = getattr(message, name)
         if isinstance(value, dict):
             filled(part, value)
+        elif value and isinstance(value, list) and isinstance(value[0], dict):
+            kind = message.get_fields_and_field_types()[name].removeprefix("sequence<").removesuffix(">")
+            setattr(message, name, [filled(found(kind.replace("/", "/msg/"))(), one) for one in value])
+        elif isinstance(part, bytes):
+            setattr(message, name, bytes.fromhex(value))
+        elif isinstance(part, array.array) and part.typecode == "B":
+            setattr(message, name, array.array("B", bytes.fromhex(value)))
         else:
             setattr(message, name, value)
     return message
@@ -34,6 +43,8 @@ def plain(value):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes | bytearray):
         return value.hex()
+    if isinstance(value, array.array) and value.typecode == "B":
+        return value.tobytes().hex()
     if isinstance(value, str | int | float | bool):
         return value
     return [plain(one) for one in value]

@@ -25,6 +25,7 @@ from adapters.robots.g1.dds.options import LOOPBACK, NetworkOptions
 from station.errors import ConfigError, StationError
 
 _MOST_DISCOVERED = 4096
+_FAST_DDS = "1.15"  # number of its vendor, of those that the OMG gives
 
 # What Unitree's SDK asks for, read from the wire; a reader asks for no more, since what the robot offers is not known.
 _WRITES = Qos(
@@ -261,7 +262,11 @@ def _properties(participant: Any) -> dict[str, str]:
 
 
 def cyclone_config(interface: str) -> str:
-    """Return what Cyclone DDS reads: one interface alone, and on loopback no multicast, which it does not have."""
+    """Return what Cyclone DDS reads: one interface alone, and on loopback no multicast, which it does not have.
+
+    How Fast DDS, which most of ROS 2 uses, describes types that have sequences or arrays, Cyclone 11.0 takes for none,
+    and hears and is heard by nobody on their topics: it is told to go by the names of types there.
+    """
     is_local = interface == LOOPBACK
     multicast = "false" if is_local else "default"
     alone = (
@@ -272,5 +277,6 @@ def cyclone_config(interface: str) -> str:
         '<CycloneDDS><Domain Id="any"><General><Interfaces>'
         f'<NetworkInterface name="{interface}" multicast="{multicast}"/></Interfaces>'
         f"{'<AllowMulticast>false</AllowMulticast>' if is_local else ''}</General>{alone if is_local else ''}"
+        f"<Compatibility><IgnoreTypeInformation>{_FAST_DDS}</IgnoreTypeInformation></Compatibility>"
         "</Domain></CycloneDDS>"
     )
