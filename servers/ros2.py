@@ -15,7 +15,6 @@ import queue
 import select
 import shlex
 import shutil
-import statistics
 import struct
 import subprocess
 import threading
@@ -36,6 +35,7 @@ from station.bus.watch import Watch
 from station.config import to_plain
 from station.errors import BusError, ConfigError, StationError
 from station.life import arm_request, estop
+from station.life.ages import Ages
 from station.life.event_feed import EventFeed
 from station.life.events import Event, Severity
 from station.life.server import Life, ServerKind
@@ -65,7 +65,6 @@ _LOOK_S = 0.02
 _FACTS_S = 0.5
 _AGAIN_S = 2.0  # between two starts of a node
 _LEAVE_S = 3.0  # for the last words of its topics
-_KEPT = 200  # newest ages, whose median is told
 _MOST_SKIPPED = 1_000_000  # at once; a stamp that says more is no writer's count
 _LONGEST = 64 << 20
 
@@ -144,22 +143,6 @@ KIND = ServerKind(
     expect=_expect,
     bus_timeout_s=0.25,
 )
-
-
-class Ages:
-    """How old what passed was, of the newest few."""
-
-    def __init__(self) -> None:
-        self._kept: deque[float] = deque(maxlen=_KEPT)
-
-    def add(self, age_ms: float) -> None:
-        """Add an age [ms]."""
-        self._kept.append(age_ms)
-
-    def facts(self, name: str) -> dict[str, Any]:
-        """Return the median and the greatest [ms], if there is any."""
-        kept = list(self._kept)
-        return {name: [round(statistics.median(kept), 3), round(max(kept), 3)]} if kept else {}
 
 
 class Frame(NamedTuple):
