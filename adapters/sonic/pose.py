@@ -15,16 +15,15 @@ encoder.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from adapters.commands.root import CommandedRoot
 from adapters.commands.twist2 import FORMAT
 from adapters.robots.g1.joints import FROM_ISAAC, G1_29, LEGS, TO_ISAAC
 from adapters.robots.g1.kinematics import soles
 from adapters.sonic.message import BadMessage, Message, pack
 from station.protocols import Floats, Reference
-from station.rotations import from_roll_pitch_yaw, inverse, multiply, normalized, rotate_inverse, rotation_vector
+from station.rotations import inverse, multiply, normalized, rotate_inverse, rotation_vector
 
 POSE = "pose"
 """Topic."""
@@ -122,18 +121,17 @@ class StreamedPose:
     """From TWIST2's command to frames, one each 20 ms; height and velocities of the root have no place in them."""
 
     def __init__(self) -> None:
-        self._index, self._yaw = 0, 0.0
+        self._index, self._root = 0, CommandedRoot()
         self._q: Floats | None = None
 
     def pack(self, command: Floats, dt_s: float) -> bytes:
         """Return the message of a command, shape (35,), for a period [s]."""
-        roll, pitch, yaw_rate, q = float(command[3]), float(command[4]), float(command[5]), command[6:]
-        # About the root's own z, which leans: the heading turns by less of it.
-        self._yaw = math.remainder(self._yaw + yaw_rate * dt_s * math.cos(roll) / max(math.cos(pitch), 0.2), math.tau)
+        q = command[6:]
+        self._root.advance(command, dt_s)
         speed = np.zeros(len(q)) if self._q is None else (q - self._q) / dt_s
         self._q, self._index = q, self._index + 1
-        quat = from_roll_pitch_yaw([roll, pitch, self._yaw])
         return pack(POSE, VERSION, {
-            "body_quat": quat[None].astype(np.float32), "frame_index": np.array([self._index], np.int64),
+            "body_quat": self._root.quat_wxyz[None].astype(np.float32),
+            "frame_index": np.array([self._index], np.int64),
             "joint_pos": q[None, TO_ISAAC].astype(np.float32), "joint_vel": speed[None, TO_ISAAC].astype(np.float32),
         })  # fmt: skip
