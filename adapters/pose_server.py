@@ -1,21 +1,27 @@
 """The pose server of motion_tracking's teleoperation, over ZeroMQ: it is asked for each pose of the robot, and answers.
 
-| port | we | what |
+| port | the robot | what |
 |---|---|---|
-| 28701 | push | ``{"start": true}``, or false: the question for a pose |
-| 28702 | pull | two parts: ``{"start", "num_frames", "qpos_size"}``, and the frames as float32 |
-| 28703 | pull | ``{"t_ms", "controller_buttons"}``: ``right_key_one`` begins, ``left_key_one`` ends |
+| 28701 | pushes | ``{"start": true}``, or false: the question for a pose |
+| 28702 | pulls | two parts: ``{"start", "num_frames", "qpos_size"}``, and the frames as float32 |
+| 28703 | pulls | ``{"t_ms", "controller_buttons"}``: ``right_key_one`` begins, ``left_key_one`` ends |
 
 A frame is the place [m] and the orientation (wxyz) of the root, and 29 joints in Unitree's order [rad]. The server
 listens on all three. It says no time, but answers a question with the pose of when it got that, so a pose is at most as
-old as its question. Facts: Axellwppr/motion_tracking, its second generation (commit 0d5ba31),
-``serve_xrobot_teleop.py`` and ``runtime/motion_sources.py``.
+old as its question. Of several questions that wait it answers the newest, as one that begins if any of them does.
+
+Both sides are here: `PoseServer` is theirs, which we ask, `AskingRobot` theirs, which asks us. There can be one robot:
+ZeroMQ gives answers and buttons by turns to all that are connected.
+
+Facts: Axellwppr/motion_tracking, its second generation (commit 0d5ba31), ``serve_xrobot_teleop.py`` and
+``runtime/motion_sources.py``.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
@@ -41,6 +47,8 @@ UNANSWERED_S = 0.1
 _MOST_FRAMES = 64
 _MOST_TOLD = 1 << 16  # bytes of JSON
 _BACKLOG = 16
+_QUEUED, _KERNEL_BYTES = 2, 4096  # for a robot that does not read: answers and buttons of before are worse than none
+_LAST_WORD_MS = 200  # for who reads at once
 _SMOOTHED_S = 0.06  # of the velocity of the root, which a difference of two poses shakes
 _LONGEST_STEP_S = 0.2  # between two poses, over which a velocity still says something
 
@@ -54,6 +62,10 @@ class BadPose(ValueError):
 class _Answer(msgspec.Struct, frozen=True):
     num_frames: int
     qpos_size: int
+    start: bool = False
+
+
+class _Question(msgspec.Struct, frozen=True):
     start: bool = False
 
 
@@ -79,6 +91,7 @@ class Pose(NamedTuple):
 
 
 _ANSWERS, _TOLD = msgspec.json.Decoder(_Answer), msgspec.json.Decoder(_Told, strict=False)
+_QUESTIONS = msgspec.json.Decoder(_Question)
 
 
 def parse_pose(message: bytes) -> Pose:
@@ -117,6 +130,30 @@ def parse_buttons(data: bytes) -> tuple[bool, bool]:
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadPose(f"buttons: {error}") from None
     return told.controller_buttons.right_key_one, told.controller_buttons.left_key_one
+
+
+def parse_question(data: bytes) -> bool:
+    """Return whether a question begins.
+
+    Raises:
+        BadPose: bytes that ask for nothing.
+    """
+    try:
+        return _QUESTIONS.decode(data[:_MOST_TOLD]).start
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise BadPose(f"a question: {error}") from None
+
+
+def pack_pose(pose: Pose) -> tuple[bytes, bytes]:
+    """Return the two parts of an answer of one frame."""
+    head = msgspec.json.encode(_Answer(num_frames=1, qpos_size=len(pose.qpos), start=pose.is_start))
+    return head, pose.qpos.astype("<f4").tobytes()
+
+
+def pack_buttons(begins: bool, ends: bool, wall_ns: int) -> bytes:
+    """Return whether the buttons to begin and to end are pressed, at an instant [ns since the epoch]."""
+    buttons = _Buttons(right_key_one=begins, left_key_one=ends)
+    return msgspec.json.encode({"t_ms": wall_ns // 1_000_000, "controller_buttons": buttons})
 
 
 class Session:
@@ -198,7 +235,7 @@ class PosedRobot:
 
 
 class PoseServer:
-    """The three sockets; the server may come and go.
+    """Their three sockets, which we connect to; the server may come and go.
 
     Args:
         host: Where it is.
@@ -244,7 +281,7 @@ class PoseServer:
 
     def answers(self) -> Iterator[bytes]:
         """Yield the answers that have come, their parts joined by a zero byte."""
-        for parts in self._come(self._answers):
+        for parts in _come(self._zmq, self._answers):
             if len(parts) == 2:
                 yield b"\0".join(parts)
             else:
@@ -252,7 +289,7 @@ class PoseServer:
 
     def buttons(self) -> Iterator[tuple[bool, bool]]:
         """Yield what was told of the buttons that begin and end."""
-        for parts in self._come(self._buttons):
+        for parts in _come(self._zmq, self._buttons):
             try:
                 yield parse_buttons(b"".join(parts))
             except BadPose:
@@ -263,9 +300,98 @@ class PoseServer:
         for socket in self._sockets:
             socket.close()
 
-    def _come(self, socket: Any) -> Iterator[list[bytes]]:
-        for _ in range(_BACKLOG):
+
+class AskingRobot:
+    """A robot of theirs, which connects to our three sockets and asks; it may come and go.
+
+    Args:
+        host: The one address of this computer on which we listen.
+        ports: Of questions, answers and buttons.
+
+    Attributes:
+        bad: Messages that were no questions, by the reason.
+        connected: How many are connected, as of the last `poll`; more than one is one too many.
+
+    Raises:
+        StationError: no pyzmq, or it cannot listen there.
+    """
+
+    def __init__(self, host: str, ports: tuple[int, int, int] = PORTS) -> None:
+        zmq = self._zmq = zeromq.library()
+        self.bad, self.connected = Counter[str](), 0
+        self._peers = set[int]()
+        with contextlib.ExitStack() as undo:
+            kinds = (zmq.PULL, zmq.PUSH, zmq.PUSH)
+            self._sockets = [undo.enter_context(contextlib.closing(zeromq.open_socket(zmq, kind))) for kind in kinds]
+            self._questions, self._answers, self._buttons = self._sockets
+            self._questions.setsockopt(zmq.RCVHWM, _BACKLOG)
+            for socket in (self._answers, self._buttons):
+                socket.setsockopt(zmq.SNDHWM, _QUEUED)
+                socket.setsockopt(zmq.SNDBUF, _KERNEL_BYTES)
+            self._news = self._buttons.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+            undo.callback(self._news.close)
+            undo.callback(self._buttons.disable_monitor)
+            for socket, port in zip(self._sockets, ports, strict=True):
+                address = f"tcp://{host}:{port}"
+                with zeromq.explained(zmq, socket, address, "listened on"):
+                    socket.bind(address)
+            undo.pop_all()
+
+    def poll(self) -> None:
+        """Take up who has come or gone."""
+        for parts in _come(self._zmq, self._news):
+            event, peer = _EVENT.unpack_from(parts[0])
+            if event == self._zmq.EVENT_ACCEPTED:
+                self._peers.add(peer)
+            else:
+                self._peers.discard(peer)
+        self.connected = len(self._peers)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for a question, or for a time [s]."""
+        self._questions.poll(round(timeout_s * 1e3))
+
+    def question(self) -> bool | None:
+        """Return whether what is asked begins, None where nothing is asked."""
+        found: bool | None = None
+        for parts in _come(self._zmq, self._questions):
             try:
-                yield socket.recv_multipart(self._zmq.NOBLOCK)
-            except self._zmq.Again:
-                return
+                found = parse_question(b"".join(parts)) or bool(found)
+            except BadPose:
+                self.bad["no question"] += 1
+        return found
+
+    def answer(self, pose: Pose) -> bool:
+        """Answer; return whether somebody takes it."""
+        return self._send(self._answers, pack_pose(pose))
+
+    def press(self, *, begins: bool, ends: bool, wall_ns: int) -> None:
+        """Say which of the two buttons is pressed, at an instant [ns since the epoch], if somebody takes it."""
+        self._send(self._buttons, (pack_buttons(begins, ends, wall_ns),))
+
+    def close(self) -> None:
+        """Listen no more; what was said last is still delivered, where somebody reads it at once."""
+        self._buttons.disable_monitor()
+        self._news.close()
+        for socket in self._sockets:
+            socket.close(linger=_LAST_WORD_MS)
+
+    def _send(self, socket: Any, parts: tuple[bytes, ...]) -> bool:
+        try:
+            socket.send_multipart(parts, self._zmq.NOBLOCK)
+        except self._zmq.Again:
+            return False
+        return True
+
+
+_EVENT = struct.Struct("=Hi")
+"""Of a monitor, in libzmq's version 1: which, and the connection's file descriptor."""
+
+
+def _come(zmq: Any, socket: Any) -> Iterator[list[bytes]]:
+    """Yield the messages that have come, so many that nobody keeps us from other work."""
+    for _ in range(_BACKLOG):
+        try:
+            yield socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            return

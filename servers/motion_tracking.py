@@ -1,48 +1,85 @@
-"""The bridge from motion_tracking's teleoperation: its pose server's poses are whole-body commands of our robot.
+"""The bridge to motion_tracking's teleoperation: its pose server's poses drive our robot, or our commands its robot.
 
-It plays motion_tracking's robot side: it asks for a pose 50 times a second from the server's button to begin until that
-to end, and writes what comes. A server that falls silent leaves nothing written; the robot's gate does the rest, and
-blends into the first pose. What a pose becomes stands in `adapters.pose_server`.
+==================  ===================================================================================================
+`their-commander`   plays its robot: asks its pose server for a pose 50 times a second, from the button to begin until
+                    that to end, and writes what comes. A server that falls silent leaves nothing written; the robot's
+                    gate does the rest, and blends into the first pose.
+`our-commander`     plays its pose server: answers each question with what the command on the bus means at that
+                    instant. The gate of that command is in here: a robot of theirs stays in the pose that came last,
+                    also when it is told to end. So it is brought to stand first.
+==================  ===================================================================================================
+
+What a pose becomes, and a command, stands in `adapters.pose_server` and `adapters.commands.root`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
+from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from adapters import zeromq
 from adapters.commands.g1_walk_track import motion_of
-from adapters.pose_server import PORTS, BadPose, PosedRobot, PoseServer, Session, parse_pose
+from adapters.commands.root import CommandedRoot
+from adapters.pose_server import PORTS, AskingRobot, BadPose, Pose, PosedRobot, PoseServer, Session, parse_pose
 from station import libraries
 from station.bus import codec
+from station.bus.address import is_loopback
+from station.clock import Clock
 from station.config import to_plain
 from station.control.foreign_commander import ForeignCommander
-from station.control.foreign_stream import Arrived, Dropped, ForeignStream, why_no_command
+from station.control.foreign_robot import ForeignRobot, Rest
+from station.control.foreign_stream import SILENT_S, Arrived, Dropped, ForeignStream, why_no_command
+from station.life.ages import Ages
+from station.life.events import Severity
+from station.life.loop import real_time
+from station.life.pace import Pace
 from station.life.server import Life, ServerKind
+from station.protocols import Floats
 
+Mode = Literal["their-commander", "our-commander"]
+
+RATE_HZ = 50.0
+"""Questions per second of a robot of theirs."""
+
+JOINTS_RAD_S = 1.0
+"""How fast a robot of theirs is brought to its standing pose where nothing else does."""
+
+_IDLE_S = 0.03  # without a question; longer than the time between two, so that none has to wait for a tick
+_SHORTEST_S = 0.01  # between two ticks: whoever asks more often waits
+_LONGEST_S = 0.1  # of motion that a tick makes up for, after this process stood still
+_CONNECTED_S = 1.0  # a robot that waits for this server tries ten times a second
+_SEEN_S = 0.2  # it has to have seen the buttons released: what is pressed from the start says nothing
+_SETTLED = 25  # ticks at rest before their robot is told to end: it stays in what it was answered last
+_PRESSED = 10  # ticks for which a button is pressed: a robot looks 50 times a second, at what was said last
 _NAME = re.compile(r"[a-z0-9_]*")
 
 
 class MotionTrackingConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Configuration of the bridge from motion_tracking's pose server.
+    """Configuration of the bridge to motion_tracking.
 
     Attributes:
-        host: Where the pose server is: a name or an address.
-        ports: Its ports for questions, answers and buttons.
+        mode: ``their-commander`` drives our robot by its pose server; ``our-commander`` drives its robot by the
+            whole-body command on the bus.
+        host: Where its pose server is, a name or an address; or the one address of this computer on which ours listens.
+        ports: For questions, answers and buttons.
         robot: Which motion command, by the end of the robot's keys; "" for TWIST2's robot.
     """
 
+    mode: Mode = "their-commander"
     host: str = "127.0.0.1"
     ports: tuple[int, int, int] = PORTS
     robot: str = ""
 
     def __post_init__(self) -> None:
         for port in self.ports:
-            zeromq.expect_address("host and ports", f"tcp://{self.host}:{port}", listens=False)
+            listens = self.mode == "our-commander"
+            zeromq.expect_address("host and ports", f"tcp://{self.host}:{port}", listens=listens)
         if not _NAME.fullmatch(self.robot):
             raise ValueError(f"robot is {self.robot!r}; expected the end of a robot's keys, such as g1_29_track")
 
@@ -50,23 +87,33 @@ class MotionTrackingConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unk
 def main(config: MotionTrackingConfig, life: Life) -> int:
     """Pass poses on until asked to stop; return the exit code."""
     command = motion_of(config.robot)
-    with contextlib.closing(PoseServer(config.host, config.ports)) as server:
+    kind = PoseServer if config.mode == "their-commander" else AskingRobot
+    with contextlib.closing(kind(config.host, config.ports)) as opened:
         life.configured({
-            "server": life.name, "role": KIND.role, "robot": command.robot, "key": command.key,
+            "server": life.name, "role": KIND.role, "robot": command.robot, "mode": config.mode, "key": command.key,
             "config": to_plain(config),
         })  # fmt: skip
-        if life.ready():
-            PosesIn(life, server, config).run()
+        if not life.ready():
+            return 0
+        if isinstance(opened, PoseServer):
+            PosesIn(life, opened, config).run()
+        else:
+            life.report(scheduling=real_time())
+            if not is_loopback(config.host):
+                note = "everybody who reaches it is told what is commanded; nobody can command here"
+                life.event("motion-tracking-open-to-network", severity="warning", host=config.host, note=note)
+            with PosesOut(life, opened, config) as ours:
+                ours.run()
     return 0
 
 
 KIND = ServerKind(
     name="motion-tracking",
     role="command",
-    summary="motion_tracking's teleoperation drives our robot: its pose server's poses",
+    summary="motion_tracking's teleoperation: its poses drive our robot, or our commands its robot",
     config=MotionTrackingConfig,
     main=main,
-    expect=lambda config: libraries.expect("the bridge from motion_tracking", "pyzmq", zeromq.EXTRA),
+    expect=lambda config: libraries.expect("the bridge to motion_tracking", "pyzmq", zeromq.EXTRA),
 )
 
 
@@ -120,3 +167,148 @@ class PosesIn:
             return Dropped("not-asked", why_not)
         data = codec.json_vector(self._robot.command(pose.qpos, asked_s))
         return why_no_command(data, self._command) or {self._command.key: data}
+
+
+class PosesOut(ForeignRobot):
+    """Answers their robot by the command on the bus. A context manager.
+
+    Args:
+        life: The server's.
+        robot: Who asks.
+        config: The server's.
+    """
+
+    def __init__(self, life: Life, robot: AskingRobot, config: MotionTrackingConfig) -> None:
+        command = motion_of(config.robot)
+        rests = {command.name: Rest(speed=JOINTS_RAD_S)}
+        at_end = "their robot stands, and follows no more"
+        super().__init__(life, command, word="motion-tracking", rests=rests, rate_hz=RATE_HZ, at_end=at_end)
+        self._robot, self._key = robot, command.key
+        (self._part,) = self.parts.values()
+        self._root = CommandedRoot()
+        self._begin_ticks = self._end_ticks = self._rest_ticks = 0
+        self._was_followed = self._has_begun = False
+        self._engaged_s: float | None = None  # by whom nothing was begun yet
+        self._connected, self._connected_s = 0, 0.0
+        self._asked = self._answered = 0
+        self._asked_s: float | None = None
+        self._is_asked = False
+        self._unanswered = Counter[str]()
+        self._ages = Ages()
+
+    def __exit__(self, *_: object) -> None:
+        if self._has_begun:
+            self._robot.press(begins=False, ends=True, wall_ns=self.clock.wall_ns())
+        super().__exit__()
+
+    def pace(self) -> Pace:
+        """Return what says when to answer: their robot, by its questions."""
+        return QuestionPace(self._robot, self.clock)
+
+    def where(self, name: str, now_s: float) -> Floats | None:
+        """Nothing is known: their robot does not say where it is."""
+        return None
+
+    def hear(self) -> None:
+        """Hear who is there, and whether it asks."""
+        self._robot.poll()
+        if (connected := self._robot.connected) != self._connected:
+            name = "several" if connected > 1 else "heard" if connected else "not-heard"
+            self._connected, self._connected_s = connected, self.clock.monotonic_s()
+            severity: Severity = "info" if connected == 1 else "warning"
+            self._tell_of(name, severity, connected=connected)
+        asked_s, now_s = self._asked_s, self.clock.monotonic_s()
+        is_asked = asked_s is not None and now_s - asked_s < SILENT_S
+        if is_asked != self._is_asked:
+            self._is_asked = is_asked
+            # Once it was told to end, or is gone, it does not ask any more; to ask, it has to have been told to begin.
+            is_odd = not is_asked and self._has_begun and connected == 1
+            self._tell_of("asked" if is_asked else "not-asked", "warning" if is_odd else "info", asked=self._asked)
+
+    def send(self, dt_s: float) -> None:
+        """Answer what is asked once there was a command; say when to begin and to end."""
+        part = self._part
+        if part.is_begun:
+            self._root.advance(part.vector, dt_s)
+        self._press()
+        if (is_start := self._robot.question()) is None:
+            return
+        now_s = self.clock.monotonic_s()
+        self._asked, self._asked_s = self._asked + 1, now_s
+        if not part.is_begun:
+            self._unanswered["before the first command"] += 1
+            return
+        qpos = np.concatenate([self._root.position, self._root.quat_wxyz, part.vector[6:]])
+        if not self._robot.answer(Pose(is_start, qpos)):
+            self._unanswered["who asked does not read"] += 1
+            return
+        self._answered += 1
+        if part.is_followed:
+            self._ages.add(part.path.validator.age_s(now_s) * 1e3)
+
+    def facts(self, now_s: float) -> dict[str, Any]:
+        """Return what was answered, how old the command was then, and how it is."""
+        told = {
+            "asked": self._asked, "answered": self._answered, "connected": self._connected,
+            "unanswered": dict(self._unanswered + self._robot.bad), **self._part.status(now_s),
+        }  # fmt: skip
+        return {"streams": {"poses": told | self._ages.facts("age_ms")}}
+
+    def _press(self) -> None:
+        """Press the button to begin when a commander is followed anew, that to end when their robot stands again."""
+        is_followed = self._part.is_followed
+        self._rest_ticks = 0 if is_followed or not self._part.is_at_rest else self._rest_ticks + 1
+        now_s = self.clock.monotonic_s()
+        if not is_followed:
+            self._engaged_s = None
+        elif not self._was_followed:
+            self._engaged_s = now_s
+        is_there = self._connected == 1 and now_s - self._connected_s > _SEEN_S
+        if self._engaged_s is not None and is_there:
+            self._engaged_s = None
+            self._begin_ticks, self._end_ticks, self._has_begun = _PRESSED, 0, True
+        elif self._engaged_s is not None and self._connected != 1 and now_s - self._engaged_s > _CONNECTED_S:
+            self._engaged_s = None
+            why_not = "more than one robot is connected" if self._connected else "no robot is connected"
+            self._tell_of("not-begun", "warning", reason=why_not, then="whoever engages anew begins")
+        if self._has_begun and self._rest_ticks >= _SETTLED:
+            self._begin_ticks, self._end_ticks, self._has_begun = 0, _PRESSED, False
+        self._was_followed = is_followed
+        begins, ends = self._begin_ticks > 0, self._end_ticks > 0
+        self._robot.press(begins=begins, ends=ends, wall_ns=self.clock.wall_ns())
+        self._begin_ticks, self._end_ticks = self._begin_ticks - begins, self._end_ticks - ends
+
+    def _tell_of(self, name: str, severity: Severity, **detail: Any) -> None:
+        self.life.event(f"motion-tracking-{name}", severity=severity, key=self._key, **detail)
+
+
+class QuestionPace:
+    """When to answer: as soon as something is asked; now and then also without a question (`station.life.pace.Pace`).
+
+    Args:
+        robot: Who asks.
+        clock: The clock.
+    """
+
+    def __init__(self, robot: AskingRobot, clock: Clock) -> None:
+        self._robot, self._clock = robot, clock
+        self._woke_s = deque([clock.monotonic_s()], maxlen=50)
+
+    @property
+    def state_seq(self) -> None:
+        """A question is no state of a robot."""
+        return
+
+    def wait(self, *, is_leaving: bool) -> float:
+        """Wait for the next question; return how long that was, at most 0.1 s [s]."""
+        last_s = self._woke_s[-1]
+        self._clock.sleep_until(round((last_s + _SHORTEST_S) * 1e9))
+        self._robot.wait(max(0.0, last_s + _IDLE_S - self._clock.monotonic_s()))
+        now_s = self._clock.monotonic_s()
+        self._woke_s.append(now_s)
+        return min(now_s - last_s, _LONGEST_S)
+
+    def health(self) -> dict[str, Any]:
+        """Return how often it woke lately."""
+        passed_s = self._woke_s[-1] - self._woke_s[0]
+        return {"rate_hz": (len(self._woke_s) - 1) / passed_s} if passed_s > 0.0 else {}

@@ -25,7 +25,7 @@ from station.control.command_validator import CommandSample
 from station.control.gate import FOLLOWING, Decision, GateConfig
 from station.control.parted_path import PartedPath
 from station.life import estop
-from station.life.pace import WallPace
+from station.life.pace import Pace, WallPace
 from station.life.server import Life
 from station.life.stop_file import StopFile
 from station.parts import PartedCommand
@@ -189,9 +189,13 @@ class ForeignRobot(ABC):
     def facts(self, now_s: float) -> dict[str, Any]:
         """Return what the heartbeat says at an instant [s]."""
 
+    def pace(self) -> Pace:
+        """Return what says when to send: the clock, unless their robot does."""
+        return WallPace(self._rate_hz, self.clock)
+
     def run(self) -> None:
         """Send until asked to stop; then, or on an error, bring their robot to rest first."""
-        pace = WallPace(self._rate_hz, self.clock)
+        pace = self.pace()
         dt_s = 1.0 / self._rate_hz
         self._begin()
         try:
@@ -277,7 +281,7 @@ class ForeignRobot(ABC):
         self._returning = returning
         self.life.report(stopped=self.why_stopped, **self.facts(now_s))
 
-    def _leave(self, pace: WallPace) -> None:
+    def _leave(self, pace: Pace) -> None:
         """Bring what was commanded to rest without anything that may have broken: the bus, a gate."""
         begun = {name: part for name, part in self.parts.items() if part.is_begun}
         if not begun:

@@ -942,6 +942,10 @@ def _zeromq() -> list[Parser]:
             ("adapters.pose_server",), (pose_server.BadPose,),
         ),
         Parser(
+            "motion_tracking's question", lambda data: pose_server.parse_question(data) and None,
+            (b'{"start": true}',), ("adapters.pose_server",), (pose_server.BadPose,),
+        ),
+        Parser(
             "motion_tracking's buttons", lambda data: pose_server.parse_buttons(data) and None,
             (b'{"t_ms": 1, "controller_buttons": {"right_key_one": true, "left_key_one": false}}',),
             ("adapters.pose_server",), (pose_server.BadPose,),

@@ -7,13 +7,17 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from station.bus import codec, keys
 from station.bus.address import BusAddress
+from station.bus.client import Bus
 from station.bus.tap import Write
 from station.life.events import Event
 from station.life.server import decode_health
@@ -101,3 +105,27 @@ class BridgeStation(OneServer):
             elif not write.key.startswith("station:"):
                 self.writes.append(write)
                 self.written[write.key].append(value)
+
+
+class Writer:
+    """Writes a command 50 times a second in a thread of its own, as a teleoperation server does.
+
+    Attributes:
+        vector: What it writes; None for nothing.
+    """
+
+    def __init__(self, bus: Bus, key: str) -> None:
+        self._bus, self._key = bus, key
+        self.vector: Sequence[float] | np.ndarray | None = None
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ends.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ends.wait(0.02):
+            if (vector := self.vector) is not None:
+                self._bus.publish({self._key: codec.json_vector(np.array(vector))})

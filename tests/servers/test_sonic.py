@@ -6,7 +6,6 @@ import contextlib
 import os
 import random
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,13 +19,13 @@ from adapters.sonic.message import pack, parse
 from adapters.sonic.planner import IDLE, SLOW_WALK, Order, Planned, order_of, pack_order, pack_planned, planned_of
 from adapters.sonic.pose import StreamedPose, frame_of
 from servers.sonic import SonicConfig
-from station.bus import codec, keys
+from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.config import build
 from station.errors import ConfigError
-from tests.servers.bridge_station import BridgeStation, free_port
+from tests.servers.bridge_station import BridgeStation, Writer, free_port
 from tests.waiting import wait_until
 
 WALK_KEY = keys.action("velocity_g1_29")
@@ -239,25 +238,6 @@ def test_streamed_poses_are_whole_body_commands(bridge: BridgeStation, commander
 
 
 # -- Our commander, their robot --------------------------------------------------------------------------------------
-class Writer:
-    """Writes a command 50 times a second in a thread of its own, as a teleoperation server does."""
-
-    def __init__(self, bus: Bus, key: str) -> None:
-        self._bus, self._key, self.vector = bus, key, None
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._ends.wait(0.02):
-            if self.vector is not None:
-                self._bus.publish({self._key: codec.json_vector(np.array(self.vector))})
-
-
 @pytest.fixture
 def writer(bus: Bus) -> Iterator[Writer]:
     with contextlib.closing(Writer(bus, WALK_KEY)) as made:
