@@ -51,7 +51,7 @@ JOINTS_RAD_S = 1.0
 """How fast a robot of theirs is brought to its standing pose where nothing else does."""
 
 _IDLE_S = 0.03  # without a question; longer than the time between two, so that none has to wait for a tick
-_SHORTEST_S = 0.01  # between two ticks: whoever asks more often waits
+_SHORTEST_S = 0.005  # between two ticks: whoever asks more often waits
 _LONGEST_S = 0.1  # of motion that a tick makes up for, after this process stood still
 _CONNECTED_S = 1.0  # a robot that waits for this server tries ten times a second
 _SEEN_S = 0.2  # it has to have seen the buttons released: what is pressed from the start says nothing

@@ -297,6 +297,7 @@ def test_nothing_is_said_before_the_first_command_and_who_engages_begins(
     assert yaw[-1] - yaw[0] == pytest.approx(0.4 * 2.0, rel=0.15), "100 questions are two seconds"
     went = np.linalg.norm(np.diff(frames[-101:, :2], axis=0), axis=1).sum()
     assert went == pytest.approx(0.3 * 2.0, rel=0.15)
+    assert np.median(robot.latency_s) < 0.01, "answered when it is asked, and not at the next tick"
     bridge.until(lambda: bridge.told("motion-tracking-asked"))
     told = bridge.detail["streams"]["poses"]
     assert (told["gate"], told["connected"], told["asked"] - told["answered"]) == ("tracking", 1, 1)
