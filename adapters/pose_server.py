@@ -20,6 +20,7 @@ Facts: Axellwppr/motion_tracking, its second generation (commit 0d5ba31), ``serv
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import struct
 from collections import Counter
@@ -310,7 +311,8 @@ class AskingRobot:
 
     Attributes:
         bad: Messages that were no questions, by the reason.
-        connected: How many are connected, as of the last `poll`; more than one is one too many.
+        connected: A number for each connection that there is, as of the last `poll`; none comes twice, and more than
+            one is one too many.
 
     Raises:
         StationError: no pyzmq, or it cannot listen there.
@@ -318,8 +320,8 @@ class AskingRobot:
 
     def __init__(self, host: str, ports: tuple[int, int, int] = PORTS) -> None:
         zmq = self._zmq = zeromq.library()
-        self.bad, self.connected = Counter[str](), 0
-        self._peers = set[int]()
+        self.bad, self.connected = Counter[str](), frozenset[int]()
+        self._peers, self._numbers = dict[int, int](), itertools.count(1)
         with contextlib.ExitStack() as undo:
             kinds = (zmq.PULL, zmq.PUSH, zmq.PUSH)
             self._sockets = [undo.enter_context(contextlib.closing(zeromq.open_socket(zmq, kind))) for kind in kinds]
@@ -342,10 +344,10 @@ class AskingRobot:
         for parts in _come(self._zmq, self._news):
             event, peer = _EVENT.unpack_from(parts[0])
             if event == self._zmq.EVENT_ACCEPTED:
-                self._peers.add(peer)
+                self._peers[peer] = next(self._numbers)
             else:
-                self._peers.discard(peer)
-        self.connected = len(self._peers)
+                self._peers.pop(peer, None)
+        self.connected = frozenset(self._peers.values())
 
     def wait(self, timeout_s: float) -> None:
         """Wait for a question, or for a time [s]."""

@@ -187,9 +187,11 @@ class PosesOut(ForeignRobot):
         (self._part,) = self.parts.values()
         self._root = CommandedRoot()
         self._begin_ticks = self._end_ticks = self._rest_ticks = 0
-        self._was_followed = self._has_begun = False
-        self._engaged_s: float | None = None  # by whom nothing was begun yet
-        self._connected, self._connected_s = 0, 0.0
+        self._was_followed = False
+        self._engaged_s: float | None = None  # when somebody did for whom no robot was begun yet
+        self._connected, self._connected_s = frozenset[int](), 0.0
+        self._begun: int | None = None  # the connection that was told to begin, as long as it is there
+        self._is_open = self._is_to_end = False
         self._asked = self._answered = 0
         self._asked_s: float | None = None
         self._is_asked = False
@@ -197,7 +199,7 @@ class PosesOut(ForeignRobot):
         self._ages = Ages()
 
     def __exit__(self, *_: object) -> None:
-        if self._has_begun:
+        if self._is_to_end:
             self._robot.press(begins=False, ends=True, wall_ns=self.clock.wall_ns())
         super().__exit__()
 
@@ -212,17 +214,18 @@ class PosesOut(ForeignRobot):
     def hear(self) -> None:
         """Hear who is there, and whether it asks."""
         self._robot.poll()
-        if (connected := self._robot.connected) != self._connected:
-            name = "several" if connected > 1 else "heard" if connected else "not-heard"
-            self._connected, self._connected_s = connected, self.clock.monotonic_s()
-            severity: Severity = "info" if connected == 1 else "warning"
-            self._tell_of(name, severity, connected=connected)
-        asked_s, now_s = self._asked_s, self.clock.monotonic_s()
-        is_asked = asked_s is not None and now_s - asked_s < SILENT_S
+        now_s, connected = self.clock.monotonic_s(), self._robot.connected
+        if connected != self._connected:
+            self._connected, self._connected_s = connected, now_s
+            if self._begun not in connected:
+                self._begun, self._is_open, self._is_to_end = None, False, False
+            name = "several" if len(connected) > 1 else "heard" if connected else "not-heard"
+            severity: Severity = "info" if len(connected) == 1 else "warning"
+            self._tell_of(name, severity, connected=len(connected))
+        is_asked = self._asked_s is not None and now_s - self._asked_s < SILENT_S
         if is_asked != self._is_asked:
             self._is_asked = is_asked
-            # Once it was told to end, or is gone, it does not ask any more; to ask, it has to have been told to begin.
-            is_odd = not is_asked and self._has_begun and connected == 1
+            is_odd = not is_asked and self._is_to_end
             self._tell_of("asked" if is_asked else "not-asked", "warning" if is_odd else "info", asked=self._asked)
 
     def send(self, dt_s: float) -> None:
@@ -238,18 +241,22 @@ class PosesOut(ForeignRobot):
         if not part.is_begun:
             self._unanswered["before the first command"] += 1
             return
+        if self._begun is None or not (is_start or self._is_open):
+            # It follows since before this server was there, or anew: it is not to jump to where the command is now.
+            self._unanswered["not begun"] += 1
+            return
         qpos = np.concatenate([self._root.position, self._root.quat_wxyz, part.vector[6:]])
         if not self._robot.answer(Pose(is_start, qpos)):
             self._unanswered["who asked does not read"] += 1
             return
-        self._answered += 1
+        self._answered, self._is_open = self._answered + 1, True
         if part.is_followed:
             self._ages.add(part.path.validator.age_s(now_s) * 1e3)
 
     def facts(self, now_s: float) -> dict[str, Any]:
         """Return what was answered, how old the command was then, and how it is."""
         told = {
-            "asked": self._asked, "answered": self._answered, "connected": self._connected,
+            "asked": self._asked, "answered": self._answered, "connected": len(self._connected),
             "unanswered": dict(self._unanswered + self._robot.bad), **self._part.status(now_s),
         }  # fmt: skip
         return {"streams": {"poses": told | self._ages.facts("age_ms")}}
@@ -259,20 +266,21 @@ class PosesOut(ForeignRobot):
         is_followed = self._part.is_followed
         self._rest_ticks = 0 if is_followed or not self._part.is_at_rest else self._rest_ticks + 1
         now_s = self.clock.monotonic_s()
-        if not is_followed:
+        if not is_followed or self.life.stopping:
             self._engaged_s = None
         elif not self._was_followed:
             self._engaged_s = now_s
-        is_there = self._connected == 1 and now_s - self._connected_s > _SEEN_S
-        if self._engaged_s is not None and is_there:
+        is_one = len(self._connected) == 1
+        if self._engaged_s is not None and is_one and now_s - self._connected_s > _SEEN_S:
             self._engaged_s = None
-            self._begin_ticks, self._end_ticks, self._has_begun = _PRESSED, 0, True
-        elif self._engaged_s is not None and self._connected != 1 and now_s - self._engaged_s > _CONNECTED_S:
+            (self._begun,) = self._connected
+            self._begin_ticks, self._end_ticks, self._is_to_end = _PRESSED, 0, True
+        elif self._engaged_s is not None and not is_one and now_s - self._engaged_s > _CONNECTED_S:
             self._engaged_s = None
             why_not = "more than one robot is connected" if self._connected else "no robot is connected"
             self._tell_of("not-begun", "warning", reason=why_not, then="whoever engages anew begins")
-        if self._has_begun and self._rest_ticks >= _SETTLED:
-            self._begin_ticks, self._end_ticks, self._has_begun = 0, _PRESSED, False
+        if self._is_to_end and self._rest_ticks >= _SETTLED:
+            self._begin_ticks, self._end_ticks, self._is_to_end = 0, _PRESSED, False
         self._was_followed = is_followed
         begins, ends = self._begin_ticks > 0, self._end_ticks > 0
         self._robot.press(begins=begins, ends=ends, wall_ns=self.clock.wall_ns())
