@@ -41,7 +41,7 @@ from station.control.foreign_stream import (
     Arrived,
     Dropped,
     ForeignStream,
-    why_no_command,
+    as_command,
 )
 from station.life.events import Severity
 from station.life.loop import real_time
@@ -185,14 +185,13 @@ class ChannelIntake(ForeignStream):
         except BadMessage as error:
             return Dropped("wrong-length" if error.kind == "length" else "wrong-type", str(error))
         assert isinstance(numbers, tuple)
-        if not np.isfinite(numbers).all():
+        if not all(map(math.isfinite, numbers)):
             return Dropped("not-finite", f"a number of {self.route.channel.field} is not finite")
-        values = {}
-        for each, vector in zip(self.route.formats, self.route.commands(self._numbers(numbers)), strict=True):
-            data = codec.json_vector(vector)
-            if (why_not := why_no_command(data, each)) is not None:
-                return why_not
-            values[each.key] = data
+        values: dict[str, bytes] = {}
+        for each, part in zip(self.route.formats, self.route.commands(self._numbers(numbers)), strict=True):
+            if isinstance(value := as_command(part, each), Dropped):
+                return value
+            values |= value
         return values
 
     def _numbers(self, numbers: Sequence[float]) -> Sequence[float]:
@@ -437,7 +436,7 @@ class OurCockpit(ForeignRobot):
         for route in self._routes:
             parts = [self.parts[name] for name in route.channel.parts]
             if any(part.is_begun for part in parts):
-                numbers = route.numbers([part.vector for part in parts])
+                numbers = route.numbers([part.vector.tolist() for part in parts])
                 self._outlet.send(route.channel.name, route.channel.kind.encode({route.channel.field: numbers}))
 
     def facts(self, now_s: float) -> dict[str, Any]:

@@ -28,13 +28,12 @@ from adapters.commands.g1_walk_track import motion_of
 from adapters.commands.root import CommandedRoot
 from adapters.pose_server import PORTS, AskingRobot, BadPose, Pose, PosedRobot, PoseServer, Session, parse_pose
 from station import libraries
-from station.bus import codec
 from station.bus.address import is_loopback
 from station.clock import Clock
 from station.config import to_plain
 from station.control.foreign_commander import ForeignCommander
 from station.control.foreign_robot import ForeignRobot, Rest
-from station.control.foreign_stream import SILENT_S, Arrived, Dropped, ForeignStream, why_no_command
+from station.control.foreign_stream import SILENT_S, Arrived, Dropped, ForeignStream, as_command
 from station.life.ages import Ages
 from station.life.events import Severity
 from station.life.loop import real_time
@@ -165,8 +164,7 @@ class PosesIn:
             return Dropped("bad-pose", str(error))
         if why_not := self._session.on_answer(pose.is_start):
             return Dropped("not-asked", why_not)
-        data = codec.json_vector(self._robot.command(pose.qpos, asked_s))
-        return why_no_command(data, self._command) or {self._command.key: data}
+        return as_command(self._robot.command(pose.qpos, asked_s).tolist(), self._command)
 
 
 class PosesOut(ForeignRobot):

@@ -30,12 +30,11 @@ from adapters.sonic.message import BadMessage, parse, topic_of
 from adapters.sonic.planner import Order, PlannedVelocity, VelocityPlan
 from adapters.sonic.pose import PosedMotion, StreamedPose
 from station import libraries
-from station.bus import codec
 from station.bus.address import is_loopback
 from station.config import to_plain
 from station.control.foreign_commander import ForeignCommander
 from station.control.foreign_robot import ForeignRobot, Rest
-from station.control.foreign_stream import SILENT_S, Arrived, Dropped, ForeignStream, why_no_command
+from station.control.foreign_stream import SILENT_S, Arrived, Dropped, ForeignStream, as_command
 from station.life.events import Severity
 from station.life.loop import real_time
 from station.life.server import Life, ServerKind
@@ -171,6 +170,7 @@ class TheirCommander:
         ForeignCommander(self._life, "sonic", "topic", streams, self._receive, self._not_for_us).run()
 
     def _receive(self, timeout_s: float) -> Iterator[tuple[str, Arrived]]:
+        self._life.report(ordered=self._why_not or "to follow", missing=self._motion.missing)
         for data, arrived_s in self._heard.receive(timeout_s):
             topic = topic_of(data, self._topics)
             if topic == planner.COMMAND:
@@ -179,7 +179,6 @@ class TheirCommander:
                 yield topic, Arrived(data, self._config.address, arrived_s)
             else:
                 self._not_for_us["no topic of SONIC's"] += 1
-        self._life.report(ordered=self._why_not or "to follow", missing=self._motion.missing)
 
     def _obey(self, data: bytes) -> None:
         """Obey an order: what they stop stays stopped until they start it."""
@@ -217,14 +216,13 @@ class TheirCommander:
         try:
             said = parse(topic, message)
             if topic == pose.POSE:
-                vector = self._motion.command(pose.frame_of(said))
+                numbers = self._motion.command(pose.frame_of(said)).tolist()
             else:
-                vector = self._walk.command(planner.planned_of(said), arrived_s)
+                numbers = self._walk.command(planner.planned_of(said), arrived_s)
         except BadMessage as error:
             return Dropped(error.kind, str(error))
         self._tell_left_out(frozenset(said.fields))
-        data = codec.json_vector(vector)
-        return why_no_command(data, self._command) or {self._command.key: data}
+        return as_command(numbers, self._command)
 
     def _tell_left_out(self, fields: frozenset[str]) -> None:
         """Tell once of each field that says what the command cannot, or that nobody here knows."""

@@ -89,18 +89,18 @@ class Route:
     channel: Channel
     formats: tuple[CommandFormat, ...]
 
-    def commands(self, numbers: Sequence[float]) -> list[Floats]:
+    def commands(self, numbers: Sequence[float]) -> list[list[float]]:
         """Return the command of each part, of the numbers of a message; a height that legs do not take is left out."""
-        vectors, start = [], 0
+        parts, start = [], 0
         for each in self.formats:
             end = start + len(each.default)
-            vectors.append(np.array(numbers[start:end], dtype=np.float64))
+            parts.append([*numbers[start:end]])
             start = end
-        return vectors
+        return parts
 
-    def numbers(self, vectors: Sequence[Floats]) -> list[float]:
+    def numbers(self, parts: Sequence[Sequence[float]]) -> list[float]:
         """Return the numbers of a message, of the command of each part; legs without a height stand as by default."""
-        found: list[float] = np.concatenate(vectors).tolist()
+        found = [number for part in parts for number in part]
         missing = self.channel.kind.fields[0].length - len(found)
         return found + [HEIGHT.default] * missing
 

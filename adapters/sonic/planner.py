@@ -130,8 +130,8 @@ class PlannedVelocity:
         """Take the robot to look where the next message faces: after a silence nobody knows better."""
         self._heading = None
 
-    def command(self, planned: Planned, arrived_s: float) -> Floats:
-        """Return the command of a message that came at an instant [s], shape (3,) or (4,).
+    def command(self, planned: Planned, arrived_s: float) -> list[float]:
+        """Return the command of a message that came at an instant [s], 3 or 4 numbers.
 
         Raises:
             BadMessage: it asks for what a velocity cannot say.
@@ -143,20 +143,20 @@ class PlannedVelocity:
         if self._heading is None:
             self._heading = 0.0 if facing is None else facing
         step_s, self._at_s = min(max(arrived_s - self._at_s, 0.0), _MOST_STEP_S), arrived_s
-        made = np.zeros(3)
+        forward = left = turn = 0.0
         if planned.mode in OWN_SPEED_M_S:
             if facing is not None:
-                left = math.remainder(facing - self._heading, math.tau)
-                made[2] = np.clip(left / max(TURN_S, step_s), -MOST_TURN_RAD_S, MOST_TURN_RAD_S)
+                turn = math.remainder(facing - self._heading, math.tau) / max(TURN_S, step_s)
+                turn = min(max(turn, -MOST_TURN_RAD_S), MOST_TURN_RAD_S)
             if going is not None:
                 speed = planned.speed if planned.speed >= 0.0 else OWN_SPEED_M_S[planned.mode]
                 ahead = going - self._heading
-                made[:2] = speed * math.cos(ahead), speed * math.sin(ahead)
-            self._heading = math.remainder(self._heading + made[2] * step_s, math.tau)
+                forward, left = speed * math.cos(ahead), speed * math.sin(ahead)
+            self._heading = math.remainder(self._heading + turn * step_s, math.tau)
         if not self._has_height:
-            return made
+            return [forward, left, turn]
         is_low = planned.mode == SQUAT and planned.height >= 0.0
-        return np.append(made, planned.height if is_low else HEIGHT.default)
+        return [forward, left, turn, planned.height if is_low else HEIGHT.default]
 
 
 class VelocityPlan:

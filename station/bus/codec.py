@@ -65,8 +65,8 @@ def json_vector(values: Sequence[float] | NDArray[Any]) -> bytes:
     return fast.replace(b",", b", ")
 
 
-def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.float64]:
-    """Decode a flat JSON list of finite numbers, shape (length,).
+def parse_json_numbers(data: bytes, length: int | None = None) -> list[float]:
+    """Decode a flat JSON list of finite numbers.
 
     Raises:
         BadNumber: one of the numbers is not finite, or too large.
@@ -79,7 +79,12 @@ def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.floa
         raise _why_not_a_vector(data) from None
     if length is not None and len(numbers) != length:
         raise BadValue(f"{len(numbers)} values, expected {length}")
-    vector: NDArray[np.float64] = _numpy().array(numbers, float)
+    return numbers
+
+
+def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.float64]:
+    """Decode a flat JSON list of finite numbers, shape (length,); raises as `parse_json_numbers` does."""
+    vector: NDArray[np.float64] = _numpy().array(parse_json_numbers(data, length), float)
     return vector
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from station.bus import codec
 from station.contract import Contract
 from station.control.command_arbiter import CommandArbiter
-from station.control.command_validator import Refusal, check_command
+from station.control.command_validator import why_refused
 from station.life.events import Severity
 from station.protocols import CommandFormat
 
@@ -67,10 +67,12 @@ Translate = Callable[[bytes, float], dict[str, bytes] | Dropped]
 """From a message, and when it came [s], to the bytes of each key."""
 
 
-def why_no_command(data: bytes, command_format: CommandFormat) -> Dropped | None:
-    """Return why a robot would not take the bytes of a command, or None."""
-    checked = check_command(data, command_format)
-    return Dropped(checked.kind, checked.text) if isinstance(checked, Refusal) else None
+def as_command(numbers: Sequence[float], command_format: CommandFormat) -> dict[str, bytes] | Dropped:
+    """Return numbers as a command stands on the bus, by its key, or why a robot would not take them."""
+    refusal = why_refused(numbers, command_format)
+    if refusal is not None:
+        return Dropped(refusal.kind, refusal.text)
+    return {command_format.key: codec.json_vector(numbers)}
 
 
 def why_not_as_described(value: bytes, contract: Contract) -> Dropped | None:

@@ -109,7 +109,7 @@ def test_of_the_policys_29_targets_the_first_12_are_the_legs() -> None:
     numbers = TARGETS_CHANNEL.kind.decode(message)[TARGETS_CHANNEL.field]
     legs, arms = low_level_routes(low_level_of("g1_29"))
     (vector,) = legs.commands(leg_command(numbers))
-    assert vector.tolist() == [*Q[:12], 1.0]
+    assert vector == [*Q[:12], 1.0]
     assert [each.key for each in (*legs.formats, *arms.formats)] == [
         "action_targets_g1_29_legs", "action_joints_g1_29_left_arm", "action_joints_g1_29_right_arm",
     ]  # fmt: skip

@@ -55,12 +55,12 @@ def test_a_mode_without_a_speed_has_its_own(mode: int) -> None:
 def test_a_robot_that_idles_stands_wherever_it_is_asked_to_look() -> None:
     walk = PlannedVelocity(has_height=False)
     walk.command(Planned(SLOW_WALK, AHEAD, AHEAD), 0.0)
-    assert walk.command(Planned(IDLE, AHEAD, LEFT, 0.5), DT_S).tolist() == [0.0, 0.0, 0.0]
+    assert walk.command(Planned(IDLE, AHEAD, LEFT, 0.5), DT_S) == [0.0, 0.0, 0.0]
 
 
 def test_a_squat_is_a_height_where_the_command_has_one_and_has_no_meaning_elsewhere() -> None:
     squat = Planned(SQUAT, AHEAD, LEFT, 0.5, 0.5)
-    assert PlannedVelocity(has_height=True).command(squat, 0.0).tolist() == [0.0, 0.0, 0.0, 0.5]
+    assert PlannedVelocity(has_height=True).command(squat, 0.0) == [0.0, 0.0, 0.0, 0.5]
     assert PlannedVelocity(has_height=True).command(Planned(WALK, NOWHERE, AHEAD, height=0.5), 0.0)[3] == 0.74
     with pytest.raises(BadMessage, match="mode 4 has no meaning for this command; expected 0 to 3"):
         PlannedVelocity(has_height=False).command(squat, 0.0)
