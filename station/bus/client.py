@@ -6,7 +6,7 @@ import contextlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import TracebackType
 from typing import Any
@@ -17,7 +17,7 @@ from station.bus import address as addresses
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.clocks import Clocks
-from station.bus.connection import Argument, Connection, ConnectionLost
+from station.bus.connection import Argument, Connection, ConnectionLost, bulk
 from station.bus.outage import Kind, Outages
 from station.bus.sample import Sample
 from station.bus.stamp import Stamp
@@ -65,14 +65,9 @@ class StampedWrites:
         return b"".join(parts)
 
     def _frame(self, key: str) -> tuple[bytes, bytes]:
-        frames = (_bulk(key), _bulk(keys.stamp(key)))
+        frames = (bulk(key), bulk(keys.stamp(key)))
         self._frames[key] = frames
         return frames
-
-
-def _bulk(text: str) -> bytes:
-    data = text.encode("utf-8", "surrogateescape")
-    return b"$%d\r\n%s\r\n" % (len(data), data)
 
 
 log = logging.getLogger(__name__)
@@ -290,11 +285,12 @@ class Bus:
             if cursor == b"0":
                 return sorted(key for key in found if not keys.is_stamp(key))
 
-    def watch(self, wanted: Sequence[str]) -> Watch:
-        """Return a watch that keeps the newest value of each key at hand; close it after use."""
+    def watch(self, wanted: Sequence[str], *, on_change: Callable[[], None] | None = None) -> Watch:
+        """Return a watch that keeps the newest value of each key at hand; close it after use. See `Watch`."""
+        told: dict[str, Any] = {"outages": self.outages, "clocks": self.clocks, "on_change": on_change}
         if not any(map(keys.is_bulk, wanted)) or self.bulk_address is None:
-            return Watch(self.address, wanted, outages=self.outages, clocks=self.clocks)
-        return WatchOfBoth(self.address, wanted, bulk=self.bulk_address, outages=self.outages, clocks=self.clocks)
+            return Watch(self.address, wanted, **told)
+        return WatchOfBoth(self.address, wanted, bulk=self.bulk_address, **told)
 
     def call(self, *arguments: Argument) -> Any:
         """Send any request and return its answer.

@@ -26,13 +26,13 @@ Argument = bytes | str | int
 
 def pack(*arguments: Argument) -> bytes:
     """Encode one request in the server's protocol (RESP)."""
-    parts = [b"*%d\r\n" % len(arguments)]
-    for argument in arguments:
-        data = argument if isinstance(argument, bytes) else str(argument).encode("utf-8", "surrogateescape")
-        parts.append(b"$%d\r\n" % len(data))
-        parts.append(data)
-        parts.append(b"\r\n")
-    return b"".join(parts)
+    return b"*%d\r\n" % len(arguments) + b"".join(map(bulk, arguments))
+
+
+def bulk(argument: Argument) -> bytes:
+    """Encode one argument of a request."""
+    data = argument if isinstance(argument, bytes) else str(argument).encode("utf-8", "surrogateescape")
+    return b"$%d\r\n%b\r\n" % (len(data), data)
 
 
 class ConnectionLost(BusError):

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-from station.bus.connection import Connection, ConnectionLost
+from station.bus.connection import Argument, Connection, ConnectionLost
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ def enable_notifications(connection: Connection) -> bool:
     return not refusal
 
 
-def subscribe(events: Connection, channels: Sequence[str], timeout_s: float) -> None:
+def subscribe(events: Connection, channels: Sequence[Argument], timeout_s: float) -> None:
     """Subscribe to channels, and take the answers.
 
     Raises:

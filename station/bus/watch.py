@@ -11,13 +11,13 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.clocks import Clocks, Offset
-from station.bus.connection import Connection, ConnectionLost, pack
+from station.bus.connection import Connection, ConnectionLost, bulk, pack
 from station.bus.hearing import HeardSpan, HearingProof, MissedWrites
 from station.bus.notifications import (
     ASK_FLAGS,
@@ -69,6 +69,8 @@ class Watch:
         clocks: Of the process, by which a write of another machine has an age; None where nobody asks for that.
         probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
         changes: Those of another watch, which then wakes of what happens here too; None for its own.
+        on_change: Called in its own thread with each change that it has taken up, for who would be woken too late in
+            another one; while it runs nothing more is taken up, and it raises nothing. None for nothing.
 
     Attributes:
         clock: Of the arrivals; time where the bus is.
@@ -85,6 +87,7 @@ class Watch:
         clocks: Clocks | None = None,
         probe_s: float = _IDLE_S,
         changes: _Changes | None = None,
+        on_change: Callable[[], None] | None = None,
     ) -> None:
         self._address, self.clock = address, address.clock
         self._outages, self._clocks = outages, clocks
@@ -97,11 +100,16 @@ class Watch:
         self._cut_ns: int | None = None  # since when we hear nothing
         self._last_error, self._logged_s = "", -math.inf
         self._keys = tuple(dict.fromkeys(wanted))
-        self._look_request = pack(*ASK_FLAGS) + _read_request(self._keys)
-        self._prefix = f"__keyspace@{address.db}__:"
+        self._frames = {key: bulk(key) + bulk(keys.stamp(key)) for key in self._keys}
+        self._look_request = pack(*ASK_FLAGS) + self._read_request(self._keys)
+        self._names = {
+            f"__keyspace@{address.db}__:{name}".encode("utf-8", "surrogateescape"): name
+            for key in self._keys
+            for name in (key, keys.stamp(key))
+        }  # by the channel where their writes are told of
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
-        self._changed = changes or _Changes()
+        self._changed, self._on_change = changes or _Changes(), on_change
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
@@ -200,8 +208,7 @@ class Watch:
             reader.close()
 
     def _listen(self, events: Connection, reader: Connection) -> None:
-        channels = [self._prefix + name for key in self._keys for name in (key, keys.stamp(key))]
-        subscribe(events, channels, self._timeout_s)
+        subscribe(events, list(self._names), self._timeout_s)
         self._fill_at_start(reader)
         self._asked_ns = self._answered_ns = self._newest_ns = self.clock.monotonic_ns()
         while not self._closed.is_set():
@@ -263,7 +270,7 @@ class Watch:
     def _on_message(self, message: Any, touched: Counter[str]) -> None:
         """Record a message: that a key was written, or the answer to a probe."""
         if isinstance(message, list) and message[0] == b"message":
-            touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
+            touched[self._names.get(message[1], "")] += 1
         elif self._answered_ns < self._asked_ns and is_answer(message):
             self._answered_ns = self.clock.monotonic_ns()
         else:
@@ -289,7 +296,7 @@ class Watch:
     def _poll(self, reader: Connection) -> None:
         log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)
         self._fill_at_start(reader)
-        everything = Counter(name for key in self._keys for name in (key, keys.stamp(key)))
+        everything = Counter(self._names.values())
         while not self.clock.wait(self._closed, _POLL_S):
             asked_ns = self.clock.monotonic_ns()
             self._read_touched(reader, everything)
@@ -311,15 +318,19 @@ class Watch:
         self.connections += 1
         self.is_connected = True
         self._armed.set()
+        if self._on_change is not None:
+            self._on_change()
 
     def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
-        wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
+        wanted = [key for key in self._keys if key in touched or keys.stamp(key) in touched]
         values = self._fetch(reader, wanted)
         now_ns = self.clock.monotonic_ns()
         with self._changed:
             for key, (value, mark) in values.items():
                 self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
             self._changed.notify_all()
+        if values and self._on_change is not None:
+            self._on_change()
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
         known = self._slots.get(key)
@@ -342,9 +353,12 @@ class Watch:
     def _fetch(self, reader: Connection, wanted: Sequence[str]) -> dict[str, Read]:
         if not wanted:
             return {}
-        values = self._decoded(wanted, reader.send_packed(_read_request(wanted))[0])
+        values = self._decoded(wanted, reader.send_packed(self._read_request(wanted))[0])
         self._told.record_read(values)
         return values
+
+    def _read_request(self, wanted: Sequence[str]) -> bytes:
+        return b"*%d\r\n$4\r\nMGET\r\n" % (1 + 2 * len(wanted)) + b"".join([self._frames[key] for key in wanted])
 
     def _decoded(self, wanted: Sequence[str], values: Any) -> dict[str, Read]:
         if isinstance(values, Exception):
@@ -357,16 +371,25 @@ class WatchOfBoth(Watch):
     """A watch of keys of a bus, and of some that are on its bulk bus; what it says of itself it says of the bus.
 
     Args:
-        address, wanted, outages, clocks: As of `Watch`.
+        address, wanted, outages, clocks, on_change: As of `Watch`; the last is called by two threads.
         bulk: Where the bulk bus is.
     """
 
     def __init__(
-        self, address: BusAddress, wanted: Sequence[str], *, bulk: BusAddress, outages: Outages, clocks: Clocks
+        self,
+        address: BusAddress,
+        wanted: Sequence[str],
+        *,
+        bulk: BusAddress,
+        outages: Outages,
+        clocks: Clocks,
+        on_change: Callable[[], None] | None,
     ) -> None:
-        super().__init__(address, [key for key in wanted if not keys.is_bulk(key)], outages=outages, clocks=clocks)
-        there = [key for key in wanted if keys.is_bulk(key)]
-        self._bulk = Watch(bulk, there, outages=outages, clocks=clocks, changes=self._changed)
+        here, there = ([key for key in wanted if keys.is_bulk(key) == is_bulk] for is_bulk in (False, True))
+        super().__init__(address, here, outages=outages, clocks=clocks, on_change=on_change)
+        self._bulk = Watch(
+            bulk, there, outages=outages, clocks=clocks, changes=self._changed, on_change=on_change
+        )  # fmt: skip
 
     def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
         """As `Watch.latest`."""
@@ -382,7 +405,3 @@ class WatchOfBoth(Watch):
         """Stop watching."""
         self._bulk.close()
         super().close()
-
-
-def _read_request(wanted: Sequence[str]) -> bytes:
-    return pack("MGET", *(name for key in wanted for name in (key, keys.stamp(key))))

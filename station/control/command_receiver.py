@@ -141,7 +141,7 @@ class CommandWatch(Watch):
 
     def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
         while touched and not self._closed.is_set():
-            wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
+            wanted = [key for key in self._keys if key in touched or keys.stamp(key) in touched]
             values = self._fetch(reader, wanted)
             later = self._told_meanwhile()
             if self._events is not None and self._must_know_all(values):

@@ -50,6 +50,25 @@ def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> N
         assert watch.wait("k", after=sample, timeout_s=0.05) is None
 
 
+def test_who_asks_for_it_is_told_of_each_change_by_the_watch_itself(bus_server: BusAddress) -> None:
+    told: list[tuple[str, bytes | None]] = []
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
+        bus.publish({"k": b"old"})
+
+        def tell() -> None:
+            sample = found[0].latest("k") if found else None
+            told.append((threading.current_thread().name, sample.value if sample else None))
+
+        found: list[Watch] = []
+        with bus.watch(["k"], on_change=tell) as watch:
+            wait_until(lambda: told)  # that it has begun to hear
+            found.append(watch)
+            bus.publish({"k": b"new"})
+            wait_until(lambda: ("bus-watch", b"new") in told)
+            bus.call("DEL", "k")
+            wait_until(lambda: told[-1] == ("bus-watch", None))
+
+
 def test_any_of_several_keys_wakes_who_has_not_seen_its_value(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["a", "b"]) as watch:
         bus.publish({"a": b"1"})
