@@ -115,6 +115,7 @@ class Life:
 
     Attributes:
         clock: Whoever waits, or asks what time it is, does it by this one.
+        failure: What ends the server, of another thread than that of its main.
     """
 
     def __init__(self, kind: ServerKind, name: str, bus: Bus, config_sha256: str) -> None:
@@ -122,6 +123,7 @@ class Life:
         self._kind = kind
         self.bus, self.clock = bus, bus.clock
         self.stop_event = threading.Event()
+        self.failure: Exception | None = None
         self._supervisor_pipe = supervisor_pipe.from_environment(self.stop_event.set)
         self._configuration: bytes | None = None
         self._publisher = EventPublisher(bus, name)
@@ -187,6 +189,18 @@ class Life:
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
         """Publish an event: on the bus, so that it stands in the episode, and in the log."""
         self._publisher.publish(name, severity, **detail)
+
+    def guarded(self, act: Callable[[], None]) -> Callable[[], None]:
+        """Return what another thread may call: where it raises, the server ends with that error."""
+
+        def guard() -> None:
+            try:
+                act()
+            except Exception as error:  # noqa: BLE001  # raised again by who runs the server
+                self.failure = self.failure or error
+                self.stop_event.set()
+
+        return guard
 
     def last_word(self, name: str, **detail: Any) -> None:
         """Publish what ends this server; its starter prints the error itself."""

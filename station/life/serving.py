@@ -45,7 +45,10 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
         reason = "stopped"
         try:
             _expect_allowed(bus, name, kind.role)
-            return kind.main(config, life)
+            code = kind.main(config, life)
+            if life.failure is not None:
+                raise life.failure
+            return code
         except StationError as error:
             reason = str(error)
             life.last_word("server-failed", reason=reason)

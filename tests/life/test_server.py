@@ -1,10 +1,19 @@
 from __future__ import annotations
 
+import msgspec
+import pytest
+
 from servers.recorder import KIND
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.life.server import Life
+from station.life.server import Life, ServerKind, read_health
+from station.life.serving import serve
+from tests.waiting import DEADLINE_S
+
+
+class Nothing(msgspec.Struct):
+    pass
 
 
 def test_what_a_server_runs_is_stated_under_its_name_and_with_its_kind(bus_server: BusAddress) -> None:
@@ -16,3 +25,21 @@ def test_what_a_server_runs_is_stated_under_its_name_and_with_its_kind(bus_serve
             life.end("test")
         stated = codec.parse_json(bus.get(keys.server_config("left")) or b"")
     assert stated == {"kind": "recorder", "server": "left", "rate_hz": 50}
+
+
+def test_what_another_thread_raises_ends_the_server(bus_server: BusAddress) -> None:
+    def fail() -> None:
+        raise ValueError("nothing to pass on")
+
+    def main(_config: Nothing, life: Life) -> int:
+        life.clock.start(life.guarded(fail), "aside")
+        assert life.stop_event.wait(DEADLINE_S)
+        return 0
+
+    kind = ServerKind(name="left", role="observer", summary="", config=Nothing, main=main)
+    with pytest.raises(ValueError, match="nothing to pass on"):
+        serve(kind, Nothing(), address=bus_server)
+    with Bus(bus_server, name="test", timeout_s=5.0) as bus:
+        (health,) = read_health(bus)
+    assert (health.state, health.reason) == ("finalized", "ValueError: nothing to pass on")
+    assert [event.name for event in health.events] == ["server-crashed"]
