@@ -61,7 +61,7 @@ STILL_S = 2.0
 START_S = 60.0
 """Longest time until a node that was started speaks [s]: a container, or a computer with too much to do."""
 
-_LOOK_S = 0.02
+_LOOK_S = 0.05  # at the node, and who is silent; what comes waits for no look
 _FACTS_S = 0.5
 _AGAIN_S = 2.0  # between two starts of a node
 _LEAVE_S = 3.0  # for the last words of its topics
@@ -167,9 +167,7 @@ class NodeProcess:
 
     def __init__(self, command: list[str], life: Life, on_frame: Callable[[Frame], None]) -> None:
         self._clock, self._on_frame = life.clock, on_frame
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
-        )
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout
@@ -247,12 +245,8 @@ class NodeProcess:
         self.is_over.set()
 
     def _read(self, size: int) -> bytes | None:
-        found = bytearray()
-        while len(found) < size:
-            if not (part := self._out.read(size - len(found))):
-                return None
-            found += part
-        return bytes(found)
+        found: bytes = self._out.read(size)
+        return found if len(found) == size else None
 
 
 def _facts(data: bytes) -> dict[str, Any]:
@@ -278,17 +272,19 @@ class Intake:
         row: Of the table.
 
     Attributes:
+        source: What the bus is told of where its commands are from.
         passed: Messages that became commands.
         dropped: Others, by the reason.
     """
 
     def __init__(self, row: SubscribeRow) -> None:
-        from adapters.ros2.heard import reader
+        from adapters.ros2.heard import BadMessage, reader
         from station.control.command_arbiter import CommandArbiter
-        from station.control.command_validator import check_command
+        from station.control.command_validator import why_refused
 
-        self.row, self._check = row, check_command
+        self.row, self._bad, self._why_refused = row, BadMessage, why_refused
         self.command = _command(row)
+        self.source = codec.json_object({"kind": "ros2", "topic": row.topic})
         self._read: Read = reader(row, self.command)
         self.passed, self.dropped = 0, Counter[str]()
         self._publishers = CommandArbiter("keep-first", SILENT_S)
@@ -359,12 +355,9 @@ class Intake:
 
     def _judge(self, frame: Frame, now_ns: int) -> tuple[bytes, float | None] | Dropped:
         """Return the command that a message is, and how old it is where that is known [s]; or why it is none."""
-        from adapters.ros2.heard import BadMessage
-        from station.control.command_validator import Refusal
-
         try:
             heard = self._read(frame.data)
-        except BadMessage as error:
+        except self._bad as error:
             return Dropped(error.kind, str(error))
         stamp_ns = {"header": heard.stamp_ns or frame.at_ns, "publisher": frame.at_ns, "none": 0}[self.row.stamp]
         age_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else None
@@ -374,9 +367,9 @@ class Intake:
             return Dropped("stale", f"it is {age_s:.3g} s old, allowed are {self.row.max_age_s:g} s")
         if not all(map(math.isfinite, heard.numbers)):
             return Dropped("not-finite", "a number is not finite")
-        value = codec.json_vector(heard.numbers)
-        checked = self._check(value, self.command)
-        return Dropped(checked.kind, checked.text) if isinstance(checked, Refusal) else (value, age_s)
+        if (refusal := self._why_refused(heard.numbers, self.command)) is not None:
+            return Dropped(refusal.kind, refusal.text)
+        return codec.json_vector(heard.numbers), age_s
 
     def _tell(self, name: str, severity: Severity, **detail: Any) -> None:
         self._events.append((name, severity, {"topic": self.row.topic, **detail}))
@@ -411,6 +404,7 @@ class Outlet:
 
         self._teller = told.teller
         self.row, self.end = row, told.last_word(row)
+        self._drives, self._longest_s = row.drives, row.longest_s
         self.dropped = Counter[str]()
         self.trouble = ""
         self._tell: Tell | None = None
@@ -444,7 +438,7 @@ class Outlet:
         if last is not None and last.stamp is not None and sample.stamp is not None:
             missing = sample.stamp.seq - last.stamp.seq - 1 if sample.stamp.source == last.stamp.source else 0
             self.dropped["skipped"] += missing if 0 < missing < _MOST_SKIPPED else 0
-        if self.row.drives:
+        if self._drives:
             silence_s = (
                 math.inf if last is None or last.arrived_ns is None else (sample.arrived_ns - last.arrived_ns) * 1e-9
             )
@@ -452,7 +446,8 @@ class Outlet:
             if self._blocked:  # who commanded through a stop has to cease first
                 self.dropped["stopped"] += 1
                 return None
-        if (now_ns - (sample.written_ns or sample.arrived_ns)) * 1e-9 > self.row.longest_s:
+        is_any_age = self._longest_s == math.inf
+        if not is_any_age and (now_ns - (sample.written_ns or sample.arrived_ns)) * 1e-9 > self._longest_s:
             self.dropped["stale"] += 1
             return None
         if self._tell is None or "trouble" in self._said:
@@ -477,7 +472,7 @@ class Outlet:
         """Return what a heartbeat tells: `age_ms` since a value was written until ROS got it, `delay_ms` since
         it came here; median, most."""
         passed = self._before + int(self._said.get("published", 0))
-        dropped = {why: count for why, count in self.dropped.items() if count}
+        dropped = {why: count for why, count in dict(self.dropped).items() if count}  # another thread counts on
         told = {"key": self.row.key, "passed": passed, "dropped": dropped, "peers": self._said.get("peers", 0)}
         trouble = {"trouble": self.trouble} if self.trouble else {}
         return told | trouble | {name: self._said[name] for name in ("age_ms", "delay_ms") if name in self._said}
@@ -504,11 +499,8 @@ class Bridge:
         self._told: list[int] = []
         for number, row in enumerate(table.publish):
             (self._told if row.kind == "diagnostics" else self._by_key.setdefault(row.key, [])).append(number)
-        bus = life.bus
-        self._watch: Watch = bus.watch([*estop.KEYS, *sorted(self._by_key)])
-        self._feed = EventFeed(bus) if self._told else None
+        self._feed = EventFeed(life.bus) if self._told else None
         self._seen: dict[str, Sample] = {}
-        self._changes = 0
         self._contracts, self._stated = Contracts(), dict[str, bytes]()
         self._engaged = config.engaged if config.engaged is not None else not table.services.engage
         self._is_stopped, self._is_running = False, False
@@ -517,6 +509,9 @@ class Bridge:
         self._gone_s, self._next_s, self._why_gone = 0.0, 0.0, ""
         self._incoming: list[dict[str, Any]] = []
         self._ros: dict[str, Any] = {}
+        self._turn = threading.Lock()  # of the watch's thread, which passes on, and of the loop, which keeps the node
+        watched = [*estop.KEYS, *sorted(self._by_key)]
+        self._watch: Watch = life.bus.watch(watched, on_change=life.guarded(self._pass_on))
         self._calls: queue.Queue[dict[str, Any] | None] = queue.Queue(maxsize=16)
         self._caller = self._clock.start(self._answer_calls, "ros2-services")
 
@@ -525,11 +520,11 @@ class Bridge:
 
     def __exit__(self, *_: object) -> None:
         self._is_running = False
+        self._watch.close()
         if self._node is not None:
             self._node.leave()
         self._calls.put(None)
         self._clock.join(self._caller, 1.0)
-        self._watch.close()
         if self._feed is not None:
             self._feed.close()
 
@@ -550,13 +545,12 @@ class Bridge:
 
     def run(self) -> None:
         """Bridge until the server is asked to stop."""
-        self._is_running, facts_s = True, 0.0
         self._is_stopped = StopFile(self._life.bus.address).read() is not None
-        while not self._life.stopping:
-            self._changes = self._watch.wait_any(self._changes, _LOOK_S)
+        self._is_running, facts_s = True, 0.0
+        while not self._clock.wait(self._life.stop_event, _LOOK_S):
             now_s = self._clock.monotonic_s()
-            self._obey_stop()
-            self._keep_node(now_s)
+            with self._turn:
+                self._keep_node(now_s)
             if now_s >= facts_s:
                 facts_s = now_s + _FACTS_S
                 self._look()
@@ -646,23 +640,28 @@ class Bridge:
         self._is_stopped = is_stopped
 
     def _pass_on(self) -> None:
-        """Send what is new, all of it at once: a node that is woken for each message is late for the last."""
-        found: list[tuple[int, bytes]] = []
-        for key in (*estop.KEYS, *self._by_key):
-            sample = self._watch.latest(key)
-            if sample is None:
-                self._seen.pop(key, None)
-            elif sample is not self._seen.get(key):
-                self._seen[key] = sample
-                found += self._messages(sample)
-        for event in () if self._feed is None else self._feed.pop():
-            data = _diagnostics(event)
-            for number in self._told:
-                found.append(
-                    (number, HEAD.pack(len(data), b"m", number, event.wall_ns, self._clock.wall_ns(), 0) + data)
-                )
-        if found:
-            self._send(found)
+        """Obey a stop, and send what is new, all of it at once: a node that is woken for each message is late for the
+        last. The watch calls it with each change: to wake the loop for that took as long as all the rest."""
+        if not self._is_running:
+            return
+        with self._turn:
+            self._obey_stop()
+            found: list[tuple[int, bytes]] = []
+            for key in self._by_key:
+                sample = self._watch.latest(key)
+                if sample is None:
+                    self._seen.pop(key, None)
+                elif sample is not self._seen.get(key):
+                    self._seen[key] = sample
+                    found += self._messages(sample)
+            for event in () if self._feed is None else self._feed.pop():
+                data = _diagnostics(event)
+                for number in self._told:
+                    found.append(
+                        (number, HEAD.pack(len(data), b"m", number, event.wall_ns, self._clock.wall_ns(), 0) + data)
+                    )
+            if found:
+                self._send(found)
 
     def _messages(self, sample: Sample) -> Iterator[tuple[int, bytes]]:
         """Yield the frame of each topic of a value, with the topic's number."""
@@ -710,9 +709,8 @@ class Bridge:
         value = intake.take(frame, self._clock.wall_ns(), now_s, "stopped" if self._is_stopped else why_not)
         if value is None:
             return
-        source = codec.json_object({"kind": "ros2", "topic": intake.row.topic})
         command, delay_s = intake.command, (self._clock.wall_ns() - frame.got_ns) * 1e-9
-        if self._life.bus.publish({command.key: value, keys.command_source(command.robot): source}):
+        if self._life.bus.publish({command.key: value, keys.command_source(command.robot): intake.source}):
             intake.record(delay_s, now_s)
         else:
             intake.dropped["bus-lost"] += 1

@@ -27,6 +27,7 @@ import contextlib
 import importlib
 import inspect
 import json
+import math
 import os
 import signal
 import statistics
@@ -119,6 +120,14 @@ class Outgoing:
             if self._end and self._came_s:
                 self._came_s, self._ends, self.ended_by = 0.0, ENDS, why
 
+    @property
+    def due_s(self):
+        """When something of it is due, on the monotonic clock [s]: its last word, or its end for silence."""
+        with self._lock:
+            if self._ends:
+                return self._again_s
+            return self._came_s + self._after_s if self._end and self._came_s else math.inf
+
     def on_tick(self):
         """Publish what is due of the last word; end what has been silent for too long."""
         now_s = time.monotonic()
@@ -148,7 +157,7 @@ class Outgoing:
 class LeftOut:
     """A topic of a type that this ROS installation has not: nothing is published, and that is told."""
 
-    is_ending = False
+    is_ending, due_s = False, math.inf
 
     def __init__(self, row):
         package = row["type"].split("/")[0]
@@ -311,17 +320,19 @@ def run(line, config):
     node = rclpy.create_node(config["node"], start_parameter_services=False)
     outgoing = [Outgoing(node, row) if is_there(row) else LeftOut(row) for row in config["publish"]]
     incoming = [Incoming(node, number, row, line) for number, row in enumerate(config["subscribe"])]
-    services, ended = None, threading.Event()
+    services, ended, woken = None, threading.Event(), threading.Event()
     if config["services"]:
         aside = rclpy.create_node(config["node"] + "_services", start_parameter_services=False)
         services = Services(aside, config["services"], line)
         threading.Thread(target=rclpy.spin, args=(aside,), daemon=True).start()
     if incoming:
         threading.Thread(target=listen, args=(node, incoming, ended), daemon=True).start()
-    threading.Thread(target=hear, args=(line, outgoing, services, ended), daemon=True).start()
+    threading.Thread(target=hear, args=(line, outgoing, services, ended, woken), daemon=True).start()
     ros = {"distro": os.environ.get("ROS_DISTRO", ""), "rmw": rclpy.get_rmw_implementation_identifier()}
     beat_s = 0.0
-    while not ended.wait(END_EVERY_S):
+    while not ended.is_set():
+        woken.wait(max(0.0, min([beat_s, *(each.due_s for each in outgoing)]) - time.monotonic()))
+        woken.clear()
         for each in outgoing:
             each.on_tick()
         if time.monotonic() >= beat_s:
@@ -352,8 +363,8 @@ def tell(line, outgoing, incoming, ros):
     line.say(b"h", publish=[each.facts() for each in outgoing], subscribe=[each.facts() for each in incoming], **ros)
 
 
-def hear(line, outgoing, services, ended):
-    """Do what the server sends until its pipe ends."""
+def hear(line, outgoing, services, ended, woken):
+    """Do what the server sends until its pipe ends; wake who says last words."""
     try:
         while (frame := line.receive()) is not None:
             kind, number, at_ns, got_ns, data = frame
@@ -361,10 +372,12 @@ def hear(line, outgoing, services, ended):
                 outgoing[number].publish(data, at_ns, got_ns)
             elif kind == b"e":
                 outgoing[number].end("told")
+                woken.set()
             elif kind == b"r":
                 services.on_answer(json.loads(data))
     finally:
         ended.set()
+        woken.set()
 
 
 def main():

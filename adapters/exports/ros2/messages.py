@@ -36,10 +36,14 @@ _FIELD_TYPES = {"i1": 1, "u1": 2, "<i2": 3, "<u2": 4, "<i4": 5, "<u4": 6, "<f4":
 _UNCOMPRESSED_STEPS = struct.pack("<iff", 0, 0.0, 0.0)
 """Stands before the PNG file of a ``compressedDepth``; its parameters are for depth that was not whole steps."""
 
-_UNKNOWN, _NOT_MEASURED = np.zeros(9), np.array([-1.0, *[0.0] * 8])
+_UNKNOWN, _NOT_MEASURED = (0.0,) * 9, (-1.0, *(0.0,) * 8)
 """Covariances: zeros where nothing says how good a measurement is, -1 first where there is none (sensor_msgs/Imu)."""
 
 _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_STAMP = struct.Struct("<iI")
+_IMU = struct.Struct("<37d")  # of some hundred a second: laid out here, ten times as fast as field by field
+_NANOSECONDS = 1_000_000_000
 
 
 class NumberArrays:
@@ -74,12 +78,12 @@ def imu(
     stamp_ns: int, frame: str, quat_wxyz: Sequence[float] | None, gyro: Sequence[float], acc: Sequence[float] | None
 ) -> bytes:
     """Return a sample of an IMU: orientation, angular velocity [rad/s], acceleration [m/s^2]; None for not measured."""
-    return cdr(make(
-        IMU, header(stamp_ns, frame),
-        _quaternion(quat_wxyz or _NO_ROTATION), _NOT_MEASURED if quat_wxyz is None else _UNKNOWN,
-        _vector(gyro), _UNKNOWN,
-        _vector(acc or (0.0, 0.0, 0.0)), _NOT_MEASURED if acc is None else _UNKNOWN,
-    ))  # fmt: skip
+    w, x, y, z = quat_wxyz or _NO_ROTATION
+    return _framed(stamp_ns, frame) + _IMU.pack(
+        x, y, z, w, *(_NOT_MEASURED if quat_wxyz is None else _UNKNOWN),
+        *gyro, *_UNKNOWN,
+        *(acc or (0.0, 0.0, 0.0)), *(_NOT_MEASURED if acc is None else _UNKNOWN),
+    )  # fmt: skip
 
 
 def twist(stamp_ns: int, frame: str, linear: Sequence[float], angular: Sequence[float]) -> bytes:
@@ -168,6 +172,13 @@ def integer(value: int) -> bytes:
 def table(values: ArrayLike, columns: int) -> NDArray[np.float64]:
     """Return numbers as a table of so many columns."""
     return np.asarray(values, np.float64).reshape(-1, columns) if columns else np.empty((1, 0))
+
+
+def _framed(stamp_ns: int, frame: str) -> bytes:
+    """Return the beginning of a message that has a header, and numbers of 64 bits behind it."""
+    name = frame.encode() + b"\0"
+    head = _STAMP.pack(*divmod(stamp_ns, _NANOSECONDS)) + struct.pack("<I", len(name)) + name
+    return _LITTLE_ENDIAN + head + bytes(-len(head) % 8)
 
 
 def _said(value: Any) -> str:
