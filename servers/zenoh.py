@@ -16,11 +16,10 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import math
-import queue
 import re
 import threading
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -51,7 +50,6 @@ MOST_KEYS = 500
 """Keys that are published: a client of the bus that invents keys must not fill the memory."""
 
 _LOOK_S = 0.5  # how long a new key stays unseen
-_SLICE_S = 0.02
 _WAITING = 1000  # values that wait to be written; then the newest are dropped
 _MOST_READ = 200
 _LONGEST_STAMP = 512
@@ -169,8 +167,10 @@ class Incoming:
     def __init__(self, life: Life, session: zenoh.Session, config: ZenohConfig) -> None:
         self._life, self._clock = life, life.clock
         self._contracts, self._described_s = Contracts(), -math.inf
-        # No SimpleQueue: its `get` with a time waits for ever where a signal comes as that time ends (CPython 3.11).
-        self._waiting = queue.Queue[tuple[str, bytes, bytes]]()
+        self._contract_of = {key: self._contracts.get(key) for key in config.accept}
+        # No queue: one that is woken by each value has woken late for the last. Nor a SimpleQueue: its `get` with a
+        # time waits for ever where a signal comes as that time ends (CPython 3.11).
+        self._waiting, self._none_waits = deque[tuple[str, bytes, bytes]](), threading.Lock()
         self._pauses, self._not_for_us = Pauses(life.clock), Counter[str]()
         self._counts: dict[str, tuple[str, int]] = {}
         self._missing = 0
@@ -178,7 +178,8 @@ class Incoming:
             ForeignStream(("zenoh", "key"), key, self._checked(key), then=f"nothing is written on {key}")
             for key in config.accept
         ]
-        self._subscribers = [session.declare_subscriber(key, self._on_sample) for key in config.accept]
+        on_sample = _at_once(self._on_sample)
+        self._subscribers = [session.declare_subscriber(key, on_sample) for key in config.accept]
 
     def run(self) -> None:
         """Write until asked to stop."""
@@ -187,29 +188,24 @@ class Incoming:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         """Keep a value; called by the library's threads."""
-        if self._waiting.qsize() >= _WAITING:
+        if len(self._waiting) >= _WAITING:
             self._not_for_us["too many at once"] += 1
             return
         attachment = sample.attachment
         mark = b"" if attachment is None else attachment.to_bytes()
-        self._waiting.put((str(sample.key_expr), sample.payload.to_bytes(), mark[: _LONGEST_STAMP + 1]))
+        self._waiting.append((str(sample.key_expr), sample.payload.to_bytes(), mark[: _LONGEST_STAMP + 1]))
+        with contextlib.suppress(RuntimeError):  # another value has said so
+            self._none_waits.release()
 
     def _receive(self, timeout_s: float) -> Iterator[tuple[str, Arrived]]:
         self._describe()
-        self._pauses.begin()
-        first: tuple[str, bytes, bytes] | None = None
-        with contextlib.suppress(queue.Empty):
-            first = self._waiting.get(timeout=timeout_s)
-        self._pauses.end(timeout_s)
-        if first is not None:
-            yield self._arrived(*first)
-            for _ in range(_MOST_READ):
-                try:
-                    yield self._arrived(*self._waiting.get_nowait())
-                except queue.Empty:
-                    break
-        self._pauses.done(is_empty=self._waiting.empty())
         self._life.report(missing=self._missing)
+        self._pauses.begin()
+        self._none_waits.acquire(timeout=0.0 if self._waiting else timeout_s)
+        self._pauses.end(timeout_s)
+        for _ in range(min(len(self._waiting), _MOST_READ)):
+            yield self._arrived(*self._waiting.popleft())
+        self._pauses.done(is_empty=not self._waiting)
 
     def _arrived(self, key: str, value: bytes, attachment: bytes) -> tuple[str, Arrived]:
         """Return a value and when it came; by a stamp of this machine's clock, when it was written."""
@@ -234,6 +230,7 @@ class Incoming:
             names = self._life.bus.names(keys.CONFIG_PREFIX + "*")
             for sample in self._life.bus.read(names).values():
                 self._contracts.add_facts(codec.parse_facts(sample.value))
+        self._contract_of = {key: self._contracts.get(key) for key in self._contract_of}
 
     def _checked(self, key: str) -> Any:
         """Return what makes a write of a value of a key."""
@@ -241,14 +238,14 @@ class Incoming:
         def write(value: bytes, _: float) -> dict[str, bytes] | Dropped:
             if len(value) > MOST_BYTES:
                 return Dropped("too-long", f"{len(value)} bytes, expected at most {MOST_BYTES}")
-            contract = self._contracts.get(key)
+            contract = self._contract_of[key]
             return (None if contract is None else why_not_as_described(value, contract)) or {key: value}
 
         return write
 
 
 class Outgoing:
-    """Publishes what is written on the bus, in a thread of its own.
+    """Publishes what is written on the bus, in the thread of its watch; looks for new keys in one of its own.
 
     Args:
         life: The server's.
@@ -268,8 +265,9 @@ class Outgoing:
         self._sent, self._dropped = 0, Counter[str]()
         self._age_s: float | None = None
         self._is_heard = False
-        self._closed = threading.Event()
-        self._thread = self._clock.start(self._run, "zenoh-out")
+        self._closed, self._turn = threading.Event(), threading.Lock()
+        self._watch: Watch | None = None
+        self._thread = self._clock.start(life.guarded(self._run), "zenoh-out")
 
     def close(self) -> None:
         """Publish no more."""
@@ -277,33 +275,32 @@ class Outgoing:
         self._clock.join(self._thread, _CLOSED_S)
 
     def _run(self) -> None:
-        watch: Watch | None = None
-        count, look_s = 0, -math.inf
-        while not self._closed.is_set():
-            if (now_s := self._clock.monotonic_s()) - look_s > _LOOK_S:
-                look_s = now_s
-                if self._look():
-                    before, watch, count = watch, self._life.bus.watch(sorted(self._publishers)), 0
-                    if before is not None:
-                        before.close()
-                self._tell()
-            if watch is None:
-                self._clock.wait(self._closed, _SLICE_S)
-                continue
-            count = watch.wait_any(count, _SLICE_S)
-            for key, publisher in self._publishers.items():
-                if (sample := watch.latest(key)) is not None:
-                    self._publish(key, publisher, sample)
-        if watch is not None:
-            watch.close()
+        while True:
+            self._look()
+            self._tell()
+            if self._clock.wait(self._closed, _LOOK_S):
+                break
+        if self._watch is not None:
+            self._watch.close()
 
-    def _look(self) -> bool:
-        """Take up keys that are new; return whether there are any."""
-        before = len(self._publishers)
+    def _look(self) -> None:
+        """Take up keys that are new, and watch them too."""
         try:
             names = self._life.bus.names()
         except BusError:
-            return False
+            return
+        before = self._watch
+        with self._turn:  # of what is written meanwhile the new watch tells alone, so that it goes out once
+            count = len(self._publishers)
+            self._declare(names)
+            if len(self._publishers) == count:
+                return
+            wanted, pass_on = sorted(self._publishers), self._life.guarded(self._pass_on)
+            self._watch = self._life.bus.watch(wanted, on_change=pass_on)
+        if before is not None:
+            before.close()
+
+    def _declare(self, names: list[str]) -> None:
         for key in names:
             if key in self._publishers or not self._wanted.match(key):
                 continue
@@ -312,7 +309,15 @@ class Outgoing:
                 break
             with contextlib.suppress(self._error):  # a name that Zenoh does not allow
                 self._publishers[key] = self._session.declare_publisher(key, congestion_control=self._blocks)
-        return len(self._publishers) > before
+
+    def _pass_on(self) -> None:
+        """Publish what is new."""
+        with self._turn:
+            if (watch := self._watch) is None:
+                return
+            for key, publisher in self._publishers.items():
+                if (sample := watch.latest(key)) is not None:
+                    self._publish(key, publisher, sample)
 
     def _publish(self, key: str, publisher: zenoh.Publisher, sample: Sample) -> None:
         last, mark = self._last.get(key), sample.stamp
@@ -349,6 +354,13 @@ class Outgoing:
                 "age_ms": None if self._age_s is None else round(self._age_s * 1e3, 2),
             }
         )  # fmt: skip
+
+
+def _at_once(act: Callable[[Any], None]) -> Any:
+    """Have something called in the library's thread that reads; else each key has one of its own, which is woken."""
+    from zenoh.handlers import Callback
+
+    return Callback(act, indirect=False)
 
 
 def _is_matched(publisher: Any) -> bool:
