@@ -63,6 +63,7 @@ class Multicast:
         clock: Of the arrivals.
 
     Attributes:
+        address: Where its own messages come from.
         dropped: Datagrams that were no messages, by the reason.
 
     Raises:
@@ -98,18 +99,14 @@ class Multicast:
                 self._own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
                 self._own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, reach)
                 self._own.bind((interface, 0))
+                host, port = self._own.getsockname()
             except OSError as error:
                 raise StationError(
                     f"lcm: {group}:{port} cannot be joined on {interface}: {error.strerror}; name with interface=… the "
                     "address that this computer has in the robot's network"
                 ) from None
             undo.pop_all()
-
-    @property
-    def address(self) -> Sender:
-        """Where its own messages come from."""
-        host, port = self._own.getsockname()
-        return str(host), int(port)
+        self.address: Sender = (str(host), int(port))
 
     def send(self, channel: str, message: bytes) -> str:
         """Send a message; return why it could not be, or ""."""

@@ -15,6 +15,7 @@ from station.control.foreign_stream import Arrived, ForeignStream, Taken
 from station.life.server import Life
 
 _LOOK_S = 0.02
+_TELL_S = 0.1  # between two looks at who is silent; a heartbeat says what it is told twice a second
 
 Receive = Callable[[float], Iterable[tuple[str, Arrived]]]
 """Yields what has come, with the stream's name, once something is there or a time has passed [s]."""
@@ -46,7 +47,7 @@ class ForeignCommander:
         told_s = -math.inf
         while not self._life.stopping:
             self._pass_on(self._receive(_LOOK_S))
-            if (now_s := self._clock.monotonic_s()) - told_s < _LOOK_S:
+            if (now_s := self._clock.monotonic_s()) - told_s < _TELL_S:
                 continue
             told_s = now_s
             for stream in self._streams.values():
@@ -74,8 +75,10 @@ class ForeignCommander:
             return
         values: dict[str, bytes] = {}
         for name, taken in newest.items():
-            source = codec.json_object({"kind": self._kind, self._called: name, "sender": taken.sender})
-            values |= taken.values | {keys.command_source(robot): source for robot in self._robots[name]}
+            values |= taken.values
+            if robots := self._robots[name]:
+                source = codec.json_object({"kind": self._kind, self._called: name, "sender": taken.sender})
+                values |= {keys.command_source(robot): source for robot in robots}
         is_taken = self._life.bus.publish(values)
         now_s = self._clock.monotonic_s()
         for name, taken in newest.items():
