@@ -69,6 +69,10 @@ class Peer:
         """Publish a message again and again from now on, in place of what it published there before."""
         self.ask("publish", topic=topic, kind=kind, rate_hz=rate_hz, best_effort=best_effort, fields=fields)
 
+    def burst(self, topics: dict[str, str], rate_hz: float, count: int) -> dict[str, Any]:
+        """Publish on topics of some types, one after the other, so many times; return what that takes by itself."""
+        return self.ask("burst", topics=topics, rate_hz=rate_hz, count=count)
+
     def cease(self, topic: str) -> None:
         """Publish no more on a topic."""
         self.ask("cease", topic=topic)

