@@ -99,21 +99,20 @@ class Subscriber:
             self._socket.setsockopt(self._zmq.SUBSCRIBE, topic.encode())
         with explained(self._zmq, self._socket, address, "connected to"):
             self._socket.connect(address)
+        self._poller = self._zmq.Poller()  # that of the socket itself is made anew for each look
+        self._poller.register(self._socket, self._zmq.POLLIN)
         self._pauses = Pauses(clock)
 
     def receive(self, timeout_s: float) -> Iterator[tuple[bytes, float]]:
         """Yield messages and when they came [s], once one is there or a time has passed [s]."""
         self._pauses.begin()
-        self._socket.poll(round(timeout_s * 1e3))
+        self._poller.poll(round(timeout_s * 1e3))
         self._pauses.end(timeout_s)
         is_empty = False
         for _ in range(_MOST_READ):
-            try:
-                parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
-            except self._zmq.Again:
-                is_empty = True
+            if is_empty := not self._poller.poll(0):
                 break
-            yield b"".join(parts), self._pauses.came_s()
+            yield b"".join(self._socket.recv_multipart(self._zmq.NOBLOCK)), self._pauses.came_s()
         self._pauses.done(is_empty=is_empty)
 
     def close(self) -> None:
