@@ -52,6 +52,7 @@ class Connection:
         self.owed = 0  # answers of posted requests that have not come yet
         self._unsent = bytearray()  # of posted requests, while the line is full
         self._timeout_s = timeout_s
+        self._waits_s: float | None = timeout_s  # of the socket, at present
         self._reader = hiredis.Reader()
         self._socket = self._open()
         try:
@@ -85,6 +86,7 @@ class Connection:
     def send_packed(self, data: bytes, replies: int = 1) -> list[Any]:
         """Send encoded requests and return that many answers; an error answer is returned, not raised."""
         try:
+            self._wait(self._timeout_s)
             self._socket.sendall(data)
             return [self._next() for _ in range(replies)]
         except OSError as error:
@@ -111,7 +113,7 @@ class Connection:
 
     def _send_unsent(self, timeout_s: float) -> None:
         try:
-            self._socket.settimeout(timeout_s)
+            self._wait(timeout_s)
             while self._unsent:
                 del self._unsent[: self._socket.send(self._unsent)]
         except (TimeoutError, BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
@@ -123,16 +125,16 @@ class Connection:
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
-        finally:
-            self._restore_timeout()
 
     def collect(self, timeout_s: float) -> list[Any]:
         """Return the owed answers that come within a time, oldest first; 0 takes what is here."""
-        answers = []
+        answers: list[Any] = []
         if self._unsent:
             self._send_unsent(timeout_s)
+        if not self.owed:
+            return answers
         try:
-            self._socket.settimeout(timeout_s)
+            self._wait(timeout_s)
             while self.owed:
                 answers.append(self._next())
                 self.owed -= 1
@@ -141,13 +143,12 @@ class Connection:
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
-        finally:
-            self._restore_timeout()
         return answers
 
     def send(self, *arguments: Argument) -> None:
         """Send a request without waiting for its answer (a subscription)."""
         try:
+            self._wait(self._timeout_s)
             self._socket.sendall(pack(*arguments))
         except OSError as error:
             self.close()
@@ -161,15 +162,13 @@ class Connection:
             ConnectionLost: the server went away.
         """
         try:
-            self._socket.settimeout(timeout_s)
+            self._wait(timeout_s)
             return self._next()
         except TimeoutError:
             raise
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
-        finally:
-            self._restore_timeout()
 
     def buffered(self) -> Any:
         """Return the next message that is already here, or ``False`` when there is none."""
@@ -184,21 +183,18 @@ class Connection:
         if (message := self._reader.gets()) is not False:
             return message
         try:
-            self._socket.settimeout(0.0)
+            self._wait(0.0)
             self._feed()
         except (BlockingIOError, ssl.SSLWantReadError):
             return False
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
-        finally:
-            self._restore_timeout()
         return self._reader.gets()
 
     def set_timeout(self, timeout_s: float) -> None:
         """Set the longest wait for each answer [s]."""
         self._timeout_s = timeout_s
-        self._restore_timeout()
 
     def fileno(self) -> int:
         """Return the file descriptor, for a selector."""
@@ -211,6 +207,7 @@ class Connection:
         """
         if self._reader.has_data():
             raise BusError(f"bus {self.address}: an answer was not taken")
+        self._wait(self._timeout_s)
         stream, self._socket = self._socket, socket.socket()
         self._socket.close()
         return stream
@@ -241,9 +238,11 @@ class Connection:
             raise ConnectionResetError("the server closed the connection")
         self._reader.feed(data)
 
-    def _restore_timeout(self) -> None:
-        if self._socket.fileno() >= 0:
-            self._socket.settimeout(self._timeout_s)
+    def _wait(self, timeout_s: float | None) -> None:
+        """Have the socket wait so long for what follows; the kernel is asked only where that is another time."""
+        if timeout_s != self._waits_s:
+            self._socket.settimeout(timeout_s)
+            self._waits_s = timeout_s
 
     def _open(self) -> socket.socket:
         address = self.address
