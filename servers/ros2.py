@@ -640,28 +640,31 @@ class Bridge:
         self._is_stopped = is_stopped
 
     def _pass_on(self) -> None:
-        """Obey a stop, and send what is new, all of it at once: a node that is woken for each message is late for the
-        last. The watch calls it with each change: to wake the loop for that took as long as all the rest."""
+        """Obey a stop, and send what is new: the first message by itself, so that the node wakes while the others are
+        made, and those at once. The watch calls it with each change: to wake the loop for that took as long again."""
         if not self._is_running:
             return
         with self._turn:
             self._obey_stop()
-            found: list[tuple[int, bytes]] = []
-            for key in self._by_key:
-                sample = self._watch.latest(key)
-                if sample is None:
-                    self._seen.pop(key, None)
-                elif sample is not self._seen.get(key):
-                    self._seen[key] = sample
-                    found += self._messages(sample)
-            for event in () if self._feed is None else self._feed.pop():
-                data = _diagnostics(event)
-                for number in self._told:
-                    found.append(
-                        (number, HEAD.pack(len(data), b"m", number, event.wall_ns, self._clock.wall_ns(), 0) + data)
-                    )
-            if found:
-                self._send(found)
+            news = self._news()
+            if (first := next(news, None)) is not None:
+                self._send([first])
+                if rest := [*news]:
+                    self._send(rest)
+
+    def _news(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the frame of each message that is new, with the topic's number."""
+        for key in self._by_key:
+            sample = self._watch.latest(key)
+            if sample is None:
+                self._seen.pop(key, None)
+            elif sample is not self._seen.get(key):
+                self._seen[key] = sample
+                yield from self._messages(sample)
+        for event in () if self._feed is None else self._feed.pop():
+            data = _diagnostics(event)
+            for number in self._told:
+                yield number, HEAD.pack(len(data), b"m", number, event.wall_ns, self._clock.wall_ns(), 0) + data
 
     def _messages(self, sample: Sample) -> Iterator[tuple[int, bytes]]:
         """Yield the frame of each topic of a value, with the topic's number."""
