@@ -32,6 +32,9 @@ Kind = Literal["wrong-length", "wrong-header", "wrong-version", "wrong-fields", 
 _DTYPES = {"f32": "f4", "f64": "f8", "i32": "i4", "i64": "i8", "u8": "u1", "bool": "u1"}
 _NAMES = {"f4": "f32", "f8": "f64", "i4": "i32", "i8": "i64", "u1": "u8", "b1": "bool"}
 _ORDER = {"le": "<", "be": ">", "": "<"}
+_ORDERED = {
+    (endian, name): np.dtype(order + kind) for endian, order in _ORDER.items() for name, kind in _DTYPES.items()
+}
 _MOST_FIELDS, _MOST_DIMENSIONS = 32, 4
 
 
@@ -81,6 +84,23 @@ class Message:
         Raises:
             BadMessage: it lacks, is of another type or shape, or holds what is no number.
         """
+        found = self._field(name, shape, among).astype(np.float64)
+        if not np.isfinite(found).all():
+            raise BadMessage("not-finite", f"a number of {name} is not finite")
+        return found
+
+    def few(self, name: str, count: int, *, among: tuple[str, ...] = ("f32", "f64")) -> list[float]:
+        """Return a field of a few numbers, for which NumPy is slow; raises as `numbers` does."""
+        found: list[float] = self._field(name, (count,), among).tolist()
+        if not all(map(math.isfinite, found)):
+            raise BadMessage("not-finite", f"a number of {name} is not finite")
+        return found
+
+    def number(self, name: str, default: float, *, among: tuple[str, ...] = ("f32", "f64")) -> float:
+        """Return a field of one number, or a default where it lacks; raises as `numbers` does."""
+        return self.few(name, 1, among=among)[0] if name in self.fields else default
+
+    def _field(self, name: str, shape: tuple[int, ...], among: tuple[str, ...]) -> Array:
         array = self.fields.get(name)
         if array is None:
             raise BadMessage("wrong-fields", f"field {name} lacks; there are {', '.join(self.fields) or 'none'}")
@@ -90,14 +110,7 @@ class Message:
                 "wrong-fields",
                 f"field {name} is {dtype} {list(array.shape)}, expected {' or '.join(among)} {list(shape)}",
             )
-        found = array.astype(np.float64)
-        if not np.isfinite(found).all():
-            raise BadMessage("not-finite", f"a number of {name} is not finite")
-        return found
-
-    def number(self, name: str, default: float, *, among: tuple[str, ...] = ("f32", "f64")) -> float:
-        """Return a field of one number, or a default where it lacks; raises as `numbers` does."""
-        return float(self.numbers(name, 1, among=among)[0]) if name in self.fields else default
+        return array
 
 
 def pack(topic: str, version: int, fields: Mapping[str, Array]) -> bytes:
@@ -161,11 +174,10 @@ def parse(topic: str, data: bytes) -> Message:
 def _fields(header: _Header, data: bytes, start: int) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for field in header.fields:
-        dtype = _DTYPES.get(field.dtype)
+        order = _ORDERED.get((header.endian, field.dtype))
         dimensions = 0 < len(field.shape) <= _MOST_DIMENSIONS and all(0 < size <= MOST_BYTES for size in field.shape)
-        if dtype is None or not dimensions or field.name in found:
+        if order is None or not dimensions or field.name in found:
             raise BadMessage("wrong-header", f"field {field.name!r}: {field.dtype!r} {field.shape}, or twice")
-        order = np.dtype(_ORDER[header.endian] + dtype)
         count = math.prod(field.shape)
         if count * order.itemsize > len(data) - start:
             raise BadMessage("wrong-length", f"field {field.name!r}: {field.shape} is more than there is")

@@ -90,7 +90,7 @@ def order_of(message: Message) -> Order:
     Raises:
         BadMessage: a flag lacks, or is none.
     """
-    flags = [message.numbers(name, 1, among=("u8", "bool", "i32"))[0] != 0 for name in ("start", "stop", "planner")]
+    flags = [message.few(name, 1, among=("u8", "bool", "i32"))[0] != 0 for name in ("start", "stop", "planner")]
     return Order(*flags)
 
 
@@ -109,9 +109,11 @@ def planned_of(message: Message) -> Planned:
     """
     if message.version != VERSION:
         raise BadMessage("wrong-version", f"version {message.version}, expected {VERSION}")
-    movement, facing = (tuple(message.numbers(name, 3).tolist()) for name in ("movement", "facing"))
-    mode = int(message.numbers("mode", 1, among=("i32",))[0])
-    return Planned(mode, movement, facing, message.number("speed", -1.0), message.number("height", -1.0))
+    (mode,) = message.few("mode", 1, among=("i32",))
+    x, y, z = message.few("movement", 3)
+    facing_x, facing_y, facing_z = message.few("facing", 3)
+    ends = message.number("speed", -1.0), message.number("height", -1.0)
+    return Planned(int(mode), (x, y, z), (facing_x, facing_y, facing_z), *ends)
 
 
 class PlannedVelocity:
