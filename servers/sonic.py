@@ -221,7 +221,7 @@ class TheirCommander:
                 numbers = self._walk.command(planner.planned_of(said), arrived_s)
         except BadMessage as error:
             return Dropped(error.kind, str(error))
-        self._tell_left_out(frozenset(said.fields))
+        self._tell_left_out(said.names)
         return as_command(numbers, self._command)
 
     def _tell_left_out(self, fields: frozenset[str]) -> None:

@@ -12,11 +12,13 @@ of that size before the bytes that there are have been compared with it.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -31,11 +33,10 @@ Kind = Literal["wrong-length", "wrong-header", "wrong-version", "wrong-fields", 
 
 _DTYPES = {"f32": "f4", "f64": "f8", "i32": "i4", "i64": "i8", "u8": "u1", "bool": "u1"}
 _NAMES = {"f4": "f32", "f8": "f64", "i4": "i32", "i8": "i64", "u1": "u8", "b1": "bool"}
+_CODES = {"f4": "f", "f8": "d", "i4": "i", "i8": "q", "u1": "B"}  # of struct
 _ORDER = {"le": "<", "be": ">", "": "<"}
-_ORDERED = {
-    (endian, name): np.dtype(order + kind) for endian, order in _ORDER.items() for name, kind in _DTYPES.items()
-}
 _MOST_FIELDS, _MOST_DIMENSIONS = 32, 4
+_LAYOUTS = 64  # that are remembered: a stream's messages have one header, but for a field that comes and goes
 
 
 class BadMessage(ValueError):
@@ -61,17 +62,52 @@ class _Header(msgspec.Struct, frozen=True):
 _HEADERS = msgspec.json.Decoder(_Header)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Message:
-    """What a message says.
+class _Place(NamedTuple):
+    """Where the numbers of a field are, in bytes behind the header."""
 
-    Attributes:
-        version: Of the topic's protocol.
-        fields: Numbers by the name of their field, each in its shape; ``bool`` as 0 and others.
-    """
+    dtype: np.dtype[Any]
+    code: str
+    shape: tuple[int, ...]
+    start: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """What a header says."""
 
     version: int
-    fields: Mapping[str, Array]
+    places: Mapping[str, _Place]
+    names: frozenset[str]
+    size: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """What a message says."""
+
+    _layout: _Layout
+    _data: bytes
+    _start: int
+
+    @property
+    def version(self) -> int:
+        """Of the topic's protocol."""
+        return self._layout.version
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Of its fields."""
+        return self._layout.names
+
+    @property
+    def fields(self) -> dict[str, Array]:
+        """Numbers by the name of their field, each in its shape; ``bool`` as 0 and others."""
+        return {name: self._array(place) for name, place in self._layout.places.items()}
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a field, () where it lacks."""
+        place = self._layout.places.get(name)
+        return () if place is None else place.shape
 
     def numbers(self, name: str, *shape: int, among: tuple[str, ...] = ("f32", "f64")) -> Array:
         """Return a field as numbers of 64 bits, all of them finite.
@@ -84,33 +120,39 @@ class Message:
         Raises:
             BadMessage: it lacks, is of another type or shape, or holds what is no number.
         """
-        found = self._field(name, shape, among).astype(np.float64)
+        found = self._array(self._place(name, shape, among)).astype(np.float64)
         if not np.isfinite(found).all():
             raise BadMessage("not-finite", f"a number of {name} is not finite")
         return found
 
     def few(self, name: str, count: int, *, among: tuple[str, ...] = ("f32", "f64")) -> list[float]:
         """Return a field of a few numbers, for which NumPy is slow; raises as `numbers` does."""
-        found: list[float] = self._field(name, (count,), among).tolist()
+        place = self._place(name, (count,), among)
+        found = struct.unpack_from(place.code, self._data, self._start + place.start)
         if not all(map(math.isfinite, found)):
             raise BadMessage("not-finite", f"a number of {name} is not finite")
-        return found
+        return list(found)
 
     def number(self, name: str, default: float, *, among: tuple[str, ...] = ("f32", "f64")) -> float:
         """Return a field of one number, or a default where it lacks; raises as `numbers` does."""
-        return self.few(name, 1, among=among)[0] if name in self.fields else default
+        return self.few(name, 1, among=among)[0] if name in self.names else default
 
-    def _field(self, name: str, shape: tuple[int, ...], among: tuple[str, ...]) -> Array:
-        array = self.fields.get(name)
-        if array is None:
-            raise BadMessage("wrong-fields", f"field {name} lacks; there are {', '.join(self.fields) or 'none'}")
-        dtype = _NAMES[array.dtype.str[1:]]
-        if dtype not in among or array.shape != shape:
+    def _place(self, name: str, shape: tuple[int, ...], among: tuple[str, ...]) -> _Place:
+        place = self._layout.places.get(name)
+        if place is None:
+            there = ", ".join(self._layout.places) or "none"
+            raise BadMessage("wrong-fields", f"field {name} lacks; there are {there}")
+        dtype = _NAMES[place.dtype.str[1:]]
+        if dtype not in among or place.shape != shape:
             raise BadMessage(
                 "wrong-fields",
-                f"field {name} is {dtype} {list(array.shape)}, expected {' or '.join(among)} {list(shape)}",
+                f"field {name} is {dtype} {list(place.shape)}, expected {' or '.join(among)} {list(shape)}",
             )
-        return array
+        return place
+
+    def _array(self, place: _Place) -> Array:
+        start, count = self._start + place.start, math.prod(place.shape)
+        return np.frombuffer(self._data, place.dtype, count, start).reshape(place.shape)
 
 
 def pack(topic: str, version: int, fields: Mapping[str, Array]) -> bytes:
@@ -156,7 +198,16 @@ def parse(topic: str, data: bytes) -> Message:
         raise BadMessage("wrong-length", f"{len(data)} bytes, expected at least {end}: topic and header")
     if data[:start] != topic.encode():
         raise BadMessage("wrong-header", f"begins with {data[:start]!r}, expected {topic}")
-    text, _, rest = data[start:end].partition(b"\0")
+    layout = _layout(data[start:end])
+    if (there := len(data) - end) != layout.size:
+        raise BadMessage("wrong-length", f"{there} bytes behind the header, whose fields take {layout.size}")
+    return Message(layout, data, end)
+
+
+@functools.lru_cache(_LAYOUTS)
+def _layout(data: bytes) -> _Layout:
+    """Return what the bytes of a header say; raises as `parse`, which is not remembered."""
+    text, _, rest = data.partition(b"\0")
     if rest.strip(b"\0"):
         raise BadMessage("wrong-header", "something stands behind the end of the header")
     try:
@@ -168,21 +219,13 @@ def parse(topic: str, data: bytes) -> Message:
             "wrong-header",
             f"{len(header.fields)} fields, endian {header.endian!r}; expected at most {_MOST_FIELDS}, le",
         )
-    return Message(header.v, _fields(header, data, end))
-
-
-def _fields(header: _Header, data: bytes, start: int) -> dict[str, Array]:
-    found: dict[str, Array] = {}
+    order, places, start = _ORDER[header.endian], dict[str, _Place](), 0
     for field in header.fields:
-        order = _ORDERED.get((header.endian, field.dtype))
+        kind = _DTYPES.get(field.dtype)
         dimensions = 0 < len(field.shape) <= _MOST_DIMENSIONS and all(0 < size <= MOST_BYTES for size in field.shape)
-        if order is None or not dimensions or field.name in found:
+        if kind is None or not dimensions or field.name in places:
             raise BadMessage("wrong-header", f"field {field.name!r}: {field.dtype!r} {field.shape}, or twice")
-        count = math.prod(field.shape)
-        if count * order.itemsize > len(data) - start:
-            raise BadMessage("wrong-length", f"field {field.name!r}: {field.shape} is more than there is")
-        found[field.name] = np.frombuffer(data, order, count, start).reshape(field.shape)
-        start += count * order.itemsize
-    if start != len(data):
-        raise BadMessage("wrong-length", f"{len(data) - start} bytes behind the last field")
-    return found
+        dtype, count = np.dtype(order + kind), math.prod(field.shape)
+        places[field.name] = _Place(dtype, f"{order}{count}{_CODES[kind]}", tuple(field.shape), start)
+        start += count * dtype.itemsize
+    return _Layout(header.v, places, frozenset(places), start)

@@ -70,13 +70,12 @@ def frame_of(message: Message) -> Frame:
     """
     if message.version != VERSION:
         raise BadMessage("wrong-version", f"version {message.version}, expected {VERSION}: joints, no SMPL, no tokens")
-    listed = message.fields.get("frame_index")
-    frames = 0 if listed is None else len(listed)
+    frames = next(iter(message.shape("frame_index")), 0)
     if not 0 < frames <= MOST_FRAMES:
         raise BadMessage("wrong-fields", f"field frame_index: {frames} frames, expected 1 to {MOST_FRAMES}")
     index = message.numbers("frame_index", frames, among=_INTEGERS)
-    bodies = message.fields.get("body_quat")
-    shape = (frames, 4) if bodies is None or bodies.ndim != 3 else (frames, bodies.shape[1], 4)
+    bodies = message.shape("body_quat")
+    shape = (frames, 4) if len(bodies) != 3 else (frames, bodies[1], 4)
     quat = message.numbers("body_quat", *shape).reshape(frames, -1, 4)[-1, 0]
     q = message.numbers("joint_pos", frames, len(G1_29))[-1]
     message.numbers("joint_vel", frames, len(G1_29))
