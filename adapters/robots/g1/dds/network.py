@@ -25,7 +25,10 @@ from adapters.robots.g1.dds.options import LOOPBACK, NetworkOptions
 from station.errors import ConfigError, StationError
 
 _MOST_DISCOVERED = 4096
-_FAST_DDS = "1.15"  # number of its vendor, of those that the OMG gives
+_BY_NAMES = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
+"""How Fast DDS (1.15 of the OMG's vendors), which most of ROS 2 uses, describes types that have sequences or arrays,
+Cyclone 11.0 takes for none, and hears and is heard by nobody on their topics: it goes by the names of types there.
+Cyclone before 11 does not know the word, and reads no settings with it."""
 
 # What Unitree's SDK asks for, read from the wire; a reader asks for no more, since what the robot offers is not known.
 _WRITES = Qos(
@@ -100,7 +103,7 @@ class Network:
 
     def __init__(self, options: NetworkOptions) -> None:
         self.options = options
-        config = cyclone_config(options.interface)
+        config = cyclone_config(options.interface, _BY_NAMES)
         known = self._domains.get(options.domain)
         if known is not None and known[0] != config:
             raise ConfigError(f"domain {options.domain}: this process has opened it on another network interface")
@@ -261,11 +264,12 @@ def _properties(participant: Any) -> dict[str, str]:
     return {policy.key: policy.value for policy in participant.qos if isinstance(policy, Policy.Property)}
 
 
-def cyclone_config(interface: str) -> str:
+def cyclone_config(interface: str, further: str = "") -> str:
     """Return what Cyclone DDS reads: one interface alone, and on loopback no multicast, which it does not have.
 
-    How Fast DDS, which most of ROS 2 uses, describes types that have sequences or arrays, Cyclone 11.0 takes for none,
-    and hears and is heard by nobody on their topics: it is told to go by the names of types there.
+    Args:
+        interface: Its name.
+        further: More of a domain's settings.
     """
     is_local = interface == LOOPBACK
     multicast = "false" if is_local else "default"
@@ -277,6 +281,5 @@ def cyclone_config(interface: str) -> str:
         '<CycloneDDS><Domain Id="any"><General><Interfaces>'
         f'<NetworkInterface name="{interface}" multicast="{multicast}"/></Interfaces>'
         f"{'<AllowMulticast>false</AllowMulticast>' if is_local else ''}</General>{alone if is_local else ''}"
-        f"<Compatibility><IgnoreTypeInformation>{_FAST_DDS}</IgnoreTypeInformation></Compatibility>"
-        "</Domain></CycloneDDS>"
+        f"{further}</Domain></CycloneDDS>"
     )
