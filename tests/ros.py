@@ -17,6 +17,7 @@ import pytest
 from tests.tiers import ROOT
 
 PEER = ROOT / "tests/ros_peer.py"
+_LEAVES_S = 5.0
 _NO_ROS = "no ROS 2 for the tests: make ros2, or STATION_ROS_PYTHON=/path/to/python of one"
 
 
@@ -89,6 +90,15 @@ class Peer:
         """Call a service; return its response."""
         return self.ask("call", service=service, kind=kind, fields=fields)
 
+    def leave(self) -> None:
+        """Have it end in order, which leaves no shared memory behind; kill it where it does not."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_LEAVES_S)
+        self.kill()
+
     def kill(self) -> None:
         """Kill it, as ``kill -9`` does."""
         self._process.kill()
@@ -101,9 +111,9 @@ class Peer:
 
 @contextlib.contextmanager
 def peer(domain: int) -> Iterator[Peer]:
-    """Give a node that is killed at the end."""
+    """Give a node that ends with the block."""
     made = Peer(domain)
     try:
         yield made
     finally:
-        made.kill()
+        made.leave()

@@ -143,6 +143,8 @@ def main():
             answer = {"error": repr(error)}
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
+    rclpy.try_shutdown()
+    node.destroy_node()
 
 
 if __name__ == "__main__":

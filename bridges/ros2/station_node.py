@@ -42,6 +42,7 @@ HEAD = struct.Struct("<IcHqqI")
 which publisher it is of, from 1 (0 where that is unknown)."""
 
 BEAT_S = 0.2
+LEAVES_S = 1.0
 ENDS, END_EVERY_S = 10, 0.02
 """How often the last word of a topic is published, and how far apart: one may be lost."""
 
@@ -240,6 +241,15 @@ def listen(node, incoming, ended):
                 each.take_all()
 
 
+def answer(node):
+    """Answer calls until the node ends."""
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+
+    with contextlib.suppress(ExternalShutdownException):
+        rclpy.spin(node)
+
+
 class Services:
     """Calls of services, answered by the station; on a thread of their own, so that none delays a topic.
 
@@ -321,13 +331,14 @@ def run(line, config):
     outgoing = [Outgoing(node, row) if is_there(row) else LeftOut(row) for row in config["publish"]]
     incoming = [Incoming(node, number, row, line) for number, row in enumerate(config["subscribe"])]
     services, ended, woken = None, threading.Event(), threading.Event()
+    nodes, answering = [node], None
     if config["services"]:
         aside = rclpy.create_node(config["node"] + "_services", start_parameter_services=False)
+        nodes.append(aside)
         services = Services(aside, config["services"], line)
-        threading.Thread(target=rclpy.spin, args=(aside,), daemon=True).start()
-    if incoming:
-        threading.Thread(target=listen, args=(node, incoming, ended), daemon=True).start()
-    threading.Thread(target=hear, args=(line, outgoing, services, ended, woken), daemon=True).start()
+        answering = begun(answer, aside)
+    listening = begun(listen, node, incoming, ended) if incoming else None
+    begun(hear, line, outgoing, services, ended, woken)
     ros = {"distro": os.environ.get("ROS_DISTRO", ""), "rmw": rclpy.get_rmw_implementation_identifier()}
     beat_s = 0.0
     while not ended.is_set():
@@ -349,6 +360,25 @@ def run(line, config):
             each.on_tick()
     with contextlib.suppress(OSError):
         tell(line, outgoing, incoming, ros)
+    begun(leave, rclpy, nodes, listening, answering).join(LEAVES_S)  # threads of ROS may wait for ever in C
+
+
+def begun(act, *given):
+    """Return a thread that does something from now on."""
+    thread = threading.Thread(target=act, args=given, daemon=True)
+    thread.start()
+    return thread
+
+
+def leave(rclpy, nodes, listening, answering):
+    """Leave the graph: who just ends leaves megabytes in shared memory, which nobody takes away."""
+    if listening is not None:  # it waits on what a shutdown takes away
+        listening.join()
+    rclpy.try_shutdown()
+    if answering is not None:  # what it uses is not destroyed before it ends
+        answering.join()
+    for node in nodes:
+        node.destroy_node()
 
 
 def without_signals(rclpy):

@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -260,8 +261,12 @@ def test_topics_become_commands_and_states_topics_until_ctrl_c(bridge: Ros2Stati
     bridge.until(lambda: bridge.detail["subscribe"]["/cmd_vel"]["dropped"].get("not-finite"))
     bridge.until(lambda: bridge.detail["publish"]["/joint_states"]["passed"] >= len(bridge.peer.heard("/joint_states")))
     node = bridge.node()
+    opened = [each.readlink() for each in Path(f"/proc/{node}/fd").iterdir()]
+    shared = [each for each in opened if re.fullmatch(r"fastdds_[0-9a-f]+_el", each.name)]
     assert bridge.interrupt() == 0
     wait_until(lambda: not is_running(node))
+    assert shared
+    assert not any(each.exists() for each in shared), "memory that is shared is nobody's to free later"
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
