@@ -9,8 +9,10 @@ Run: ``python -m tests.adapters.robots.g1.dds.peer robot|client SECONDS``; the l
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
+from typing import NoReturn
 
 LOOPBACK = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>'
@@ -21,7 +23,7 @@ LOOPBACK = (
 JOINTS = 29
 
 
-def _robot(seconds: float) -> dict[str, float]:
+def _robot(seconds: float) -> NoReturn:
     """Publish states at 500 Hz whose joint 0 counts; count the commands that were understood."""
     import unitree_interface as far
 
@@ -38,10 +40,10 @@ def _robot(seconds: float) -> dict[str, float]:
             last = list(said.q_target)
             commands += 1
         time.sleep(0.002)
-    return {"commands": commands, "q0": last[0] if last else 0.0, "kp0": said.kp[0] if said is not None else 0.0}
+    _end({"commands": commands, "q0": last[0] if last else 0.0, "kp0": said.kp[0] if said is not None else 0.0})
 
 
-def _client(seconds: float) -> dict[str, float]:
+def _client(seconds: float) -> NoReturn:
     """Command a robot at 50 Hz: joint 0 counts; tell what its state was at the end."""
     import unitree_interface as far
 
@@ -58,9 +60,15 @@ def _client(seconds: float) -> dict[str, float]:
         states.add(tuple(state.motor.q))
         count += 1
         time.sleep(0.02)
-    return {"states": len(states), "q0": state.motor.q[0], "mode_machine": state.mode_machine, "sent": count}
+    _end({"states": len(states), "q0": state.motor.q[0], "mode_machine": state.mode_machine, "sent": count})
+
+
+def _end(outcome: dict[str, float]) -> NoReturn:
+    """Say it, and end at once: as it closes, the library's ddscxx 0.10.2 now and then aborts (prevent_callbacks)."""
+    sys.stdout.write(f"{json.dumps(outcome)}\n")
+    sys.stdout.flush()
+    os._exit(0)
 
 
 if __name__ == "__main__":
-    outcome = {"robot": _robot, "client": _client}[sys.argv[1]](float(sys.argv[2]))
-    sys.stdout.write(f"{json.dumps(outcome)}\n")
+    {"robot": _robot, "client": _client}[sys.argv[1]](float(sys.argv[2]))
