@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ pytest.importorskip("starlette", reason="needs the extra 'console'")
 pytest.importorskip("playwright", reason="needs playwright, of the extra 'test'")
 pytest.importorskip("mink", reason="needs the extra 'retarget'")
 
+_ENGAGES_S, _AT_REST_S = 3.0, 0.3
 PALM = np.array([[0.08, 0.0, 0.0]])  # in the frame of the last link of a wrist
 # The controllers go up and out within four seconds, and forth and back for as long as the page lives.
 SWING = """
@@ -71,6 +73,24 @@ class Worn:
     def gate(self, robot: str) -> str:
         return str(codec.parse_facts(self.bus.get(keys.command_gate(robot))).get("state", ""))
 
+    def told(self, event: str) -> int:
+        """How often the station told of an event."""
+        return self.station.text.count(event)
+
+    def engage(self, press: Callable[[], object], lift: Callable[[], object]) -> None:
+        """Press until that drives: what is pressed while a busy machine holds the page up counts for nothing."""
+        begun = self.told("operator-engaged")
+        for _ in range(20):
+            press()
+            until_s = time.monotonic() + _ENGAGES_S
+            while time.monotonic() < until_s:
+                if self.told("operator-engaged") > begun:
+                    return
+                time.sleep(0.02)
+            lift()
+            time.sleep(_AT_REST_S)
+        raise AssertionError(f"never engaged:\n{self.station.text}")
+
     def source(self, key: str) -> dict[str, Any]:
         return codec.parse_facts(self.bus.get(key))
 
@@ -108,8 +128,7 @@ def drive(worn: Worn, seconds: float) -> Floats:
     try:
         wait_until(lambda: b'"live"' in (worn.bus.get(keys.operator_status("webxr")) or b""))
         hands, palms = hands_and_palms(worn)
-        page.squeeze("a-button")
-        worn.station.wait_for("operator-engaged")
+        worn.engage(lambda: page.squeeze("a-button"), lambda: page.squeeze("a-button", value=0.0))
         page.squeeze("a-button", value=0.0)
         worn.station.wait_until(lambda: worn.gate(ROBOT) == "tracking")
         hands, palms = hands_and_palms(worn)
