@@ -107,8 +107,24 @@ class BridgeStation(OneServer):
                 self.written[write.key].append(value)
 
 
-class Writer:
-    """Writes a command 50 times a second in a thread of its own, as a teleoperation server does.
+class InThread:
+    """Does `_run` in a thread of its own from when it is made until it is closed, upon which `_ends` is set."""
+
+    def __init__(self) -> None:
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ends.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+
+class Writer(InThread):
+    """Writes a command 50 times a second, as a teleoperation server does.
 
     Attributes:
         vector: What it writes; None for nothing.
@@ -117,13 +133,7 @@ class Writer:
     def __init__(self, bus: Bus, key: str) -> None:
         self._bus, self._key = bus, key
         self.vector: Sequence[float] | np.ndarray | None = None
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
+        super().__init__()
 
     def _run(self) -> None:
         while not self._ends.wait(0.02):

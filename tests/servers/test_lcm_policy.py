@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from station.bus.client import Bus
 from station.config import build
 from station.control.foreign_stream import SILENT_S, Arrived
 from station.errors import ConfigError
+from tests.servers.bridge_station import InThread
 from tests.servers.lcm_station import SOME_ARMS, LcmStation, lcm_station
 
 LEGS = keys.action("targets_g1_29_legs")
@@ -111,18 +111,13 @@ def bridge(bus_server: BusAddress, tmp_path: Path) -> Iterator[LcmStation]:
         yield made
 
 
-class Robot:
+class Robot(InThread):
     """Says fifty times a second where it is and whether it is armed, as a robot's server does."""
 
     def __init__(self, bus: Bus) -> None:
         self.state, self.arming = STATE, "armed"
-        self.is_silent, self._bus, self._ends = False, bus, threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
+        self.is_silent, self._bus = False, bus
+        super().__init__()
 
     def _run(self) -> None:
         while not self._ends.wait(0.02):

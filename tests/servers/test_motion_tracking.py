@@ -8,7 +8,6 @@ import os
 import random
 import signal
 import struct
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,31 +27,35 @@ from station.config import build
 from station.errors import ConfigError
 from station.rotations import roll_pitch_yaw
 from tests.adapters.test_pose_server import QPOS, answer
-from tests.servers.bridge_station import BridgeStation, Writer, free_port
+from tests.servers.bridge_station import BridgeStation, InThread, Writer, free_port
 from tests.waiting import wait_until
 
 
-class Server:
+class Peer(InThread):
+    """One of theirs, with three sockets."""
+
+    def __init__(self, kinds: tuple[int, int, int], ports: list[int], *, listens: bool) -> None:
+        context = zmq.Context.instance()
+        self._sockets = [context.socket(kind) for kind in kinds]
+        for socket, port in zip(self._sockets, ports, strict=True):
+            socket.setsockopt(zmq.LINGER, 0)
+            (socket.bind if listens else socket.connect)(f"tcp://127.0.0.1:{port}")
+        super().__init__()
+
+    def close(self) -> None:
+        super().close()
+        for socket in self._sockets:
+            socket.close()
+
+
+class Server(Peer):
     """Listens on three ports and answers as motion_tracking's does: the newest question, whether any of them begins."""
 
     def __init__(self, ports: list[int]) -> None:
-        context = zmq.Context.instance()
-        self._sockets = [context.socket(kind) for kind in (zmq.PULL, zmq.PUSH, zmq.PUSH)]
-        for socket, port in zip(self._sockets, ports, strict=True):
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.bind(f"tcp://127.0.0.1:{port}")
         self.qpos, self.pressed = QPOS, ""
         self.is_mute, self.delay_s = False, 0.0
         self.questions: list[dict[str, bool]] = []
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
-        for socket in self._sockets:
-            socket.close()
+        super().__init__((zmq.PULL, zmq.PUSH, zmq.PUSH), ports, listens=True)
 
     def _run(self) -> None:
         questions, answers, buttons = self._sockets
@@ -156,7 +159,7 @@ def test_an_answer_from_before_the_bridge_stood_still_is_stale(bridge: BridgeSta
 
 
 # -- Our commander, their robot --------------------------------------------------------------------------------------
-class Robot:
+class Robot(Peer):
     """Asks as motion_tracking's deployment does, from its description and with nothing of ours.
 
     50 times a second it takes up the buttons that were said last: a rise of ``right_key_one`` begins anew, one of
@@ -165,11 +168,6 @@ class Robot:
     """
 
     def __init__(self, ports: list[int]) -> None:
-        context = zmq.Context.instance()
-        self._sockets = [context.socket(kind) for kind in (zmq.PUSH, zmq.PULL, zmq.PULL)]
-        for socket, port in zip(self._sockets, ports, strict=True):
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.connect(f"tcp://127.0.0.1:{port}")
         self.frames: list[np.ndarray] = []
         self.latency_s: list[float] = []
         self.starts: list[int] = []
@@ -177,9 +175,7 @@ class Robot:
         self._is_on = self._is_starting = False
         self._pressed = (False, False)
         self._asked_s: float | None = None
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        super().__init__((zmq.PUSH, zmq.PULL, zmq.PULL), ports, listens=False)
 
     @property
     def joints(self) -> np.ndarray:
@@ -188,12 +184,6 @@ class Robot:
     def say(self, *parts: bytes) -> None:
         """Send what is no question."""
         self._sockets[0].send_multipart(parts)
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
-        for socket in self._sockets:
-            socket.close()
 
     def _run(self) -> None:
         questions, answers, buttons = self._sockets
