@@ -289,7 +289,7 @@ class PoseServer:
                 self.bad[f"{len(parts)} parts, expected 2"] += 1
 
     def buttons(self) -> Iterator[tuple[bool, bool]]:
-        """Yield what was told of the buttons that begin and end."""
+        """Yield, for each message of their buttons, whether the one that begins and the one that ends are pressed."""
         for parts in _come(self._zmq, self._buttons):
             try:
                 yield parse_buttons(b"".join(parts))
@@ -340,7 +340,7 @@ class AskingRobot:
             undo.pop_all()
 
     def poll(self) -> None:
-        """Take up who has come or gone."""
+        """Update `connected`."""
         for parts in _come(self._zmq, self._news):
             event, peer = _EVENT.unpack_from(parts[0])
             if event == self._zmq.EVENT_ACCEPTED:
@@ -364,15 +364,15 @@ class AskingRobot:
         return found
 
     def answer(self, pose: Pose) -> bool:
-        """Answer; return whether somebody takes it."""
+        """Send an answer; return whether there was a robot with room for it."""
         return self._send(self._answers, pack_pose(pose))
 
     def press(self, *, begins: bool, ends: bool, wall_ns: int) -> None:
-        """Say which of the two buttons is pressed, at an instant [ns since the epoch], if somebody takes it."""
+        """Send which of the two buttons are pressed, and when [ns since the epoch]; dropped where no robot reads."""
         self._send(self._buttons, (pack_buttons(begins, ends, wall_ns),))
 
     def close(self) -> None:
-        """Listen no more; what was said last is still delivered, where somebody reads it at once."""
+        """Stop listening; what was sent last is delivered if the robot reads it within 0.2 s."""
         self._buttons.disable_monitor()
         self._news.close()
         for socket in self._sockets:
@@ -391,7 +391,7 @@ _EVENT = struct.Struct("=Hi")
 
 
 def _come(zmq: Any, socket: Any) -> Iterator[list[bytes]]:
-    """Yield the messages that have come, so many that nobody keeps us from other work."""
+    """Yield messages that have come, 16 at most: a peer that floods us must not keep us from other work."""
     for _ in range(_BACKLOG):
         try:
             yield socket.recv_multipart(zmq.NOBLOCK)

@@ -35,7 +35,7 @@ STOPPED = _TWIST.pack(_LITTLE_ENDIAN, *[0.0] * 6)
 
 
 def last_word(row: PublishRow) -> bytes:
-    """Return what is published where the commands of a topic end; nothing for one that drives nobody."""
+    """Return the message that tells a robot to stand, for the end of a topic's commands; nothing for other topics."""
     if not row.drives or not row.ends_after_s:
         return b""
     return STOPPED if row.kind == "twist" else messages.twist(0, row.frame, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
