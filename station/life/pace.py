@@ -12,7 +12,7 @@ from station.life.loop import Rate
 from station.life.server import Life
 
 _SLICE_S = 0.05  # longest wait before a request to stop is seen
-_GONE_S = 0.2  # while leaving: a robot that has been silent for this long is not waited for
+_GONE_S = 0.2  # who is asked to stop does not wait for a robot that has been silent for this long
 
 
 class Pace(Protocol):
@@ -91,12 +91,14 @@ class StatePace:
         """Return one period when a state came; zero when none did and the same command is due again."""
         clock = self._life.clock
         began_s = clock.monotonic_s()
-        patience_s = self._patience_s if not is_leaving else self._period_s if self._is_silent else _GONE_S
+        patience_s = self._period_s if is_leaving and self._is_silent else self._patience_s
         while (left_s := began_s + patience_s - clock.monotonic_s()) > 0:
             if self._next_state(min(left_s, _SLICE_S)):
                 return self._period_s
-            if self._life.stopping and not is_leaving:
-                return 0.0
+            if self._life.stopping:
+                if not is_leaving:
+                    return 0.0
+                patience_s = min(patience_s, _GONE_S)
         if not self._is_silent:
             self._is_silent = True
             self._life.event("robot-silent", severity="warning", key=self._key, waited_s=patience_s)

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,17 @@ def test_in_lock_step_each_state_gets_one_frame_and_two_runs_are_equal(start: St
         assert one.values[FORMAT.key] == other.values[FORMAT.key]
     answered = [tick.source["state_seq"] for tick in second[1:]]
     assert answered == list(range(answered[0], answered[0] + len(answered)))
+
+
+def test_in_lock_step_a_robot_that_was_held_up_as_the_motion_leaves_is_waited_for(
+    start: Start, robot: StandInRobot
+) -> None:
+    process = start(pace="state", patience_s=DEADLINE_S)
+    before = [robot.command(), *robot.until("leaving")]
+    time.sleep(0.5)  # a busy machine
+    left = robot.until("done")
+    assert finish(process) == 0
+    assert len(before) + len(left) == 1 + 10 + 29 + 15
 
 
 def test_a_silent_robot_is_an_event_and_leaving_does_not_wait_for_it(
