@@ -19,7 +19,7 @@ import struct
 import subprocess
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -555,7 +555,7 @@ class Bridge:
                 facts_s = now_s + _FACTS_S
                 self._look()
                 self._life.report(**self._facts())
-            self._pass_on()
+            self._pass_on(self._by_key)
             for intake in self.intakes:
                 for name, severity, detail in intake.on_tick(now_s):
                     self._life.event(name, severity=severity, **detail)
@@ -639,22 +639,22 @@ class Bridge:
                     self._node.send(b"e", b"", number)
         self._is_stopped = is_stopped
 
-    def _pass_on(self) -> None:
-        """Obey a stop, and send what is new: the first message by itself, so that the node wakes while the others are
-        made, and those at once. The watch calls it with each change: to wake the loop for that took as long again."""
+    def _pass_on(self, changed: Collection[str]) -> None:
+        """Obey a stop, and send what is new of some keys: the first message by itself, so that the node wakes while the
+        others are made, and those at once. The watch calls it: to wake the loop for that took as long again."""
         if not self._is_running:
             return
         with self._turn:
             self._obey_stop()
-            news = self._news()
+            news = self._news(changed)
             if (first := next(news, None)) is not None:
                 self._send([first])
                 if rest := [*news]:
                     self._send(rest)
 
-    def _news(self) -> Iterator[tuple[int, bytes]]:
+    def _news(self, changed: Collection[str]) -> Iterator[tuple[int, bytes]]:
         """Yield the frame of each message that is new, with the topic's number."""
-        for key in self._by_key:
+        for key in changed:
             sample = self._watch.latest(key)
             if sample is None:
                 self._seen.pop(key, None)

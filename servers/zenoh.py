@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import functools
 import math
 import re
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -199,7 +200,6 @@ class Incoming:
 
     def _receive(self, timeout_s: float) -> Iterator[tuple[str, Arrived]]:
         self._describe()
-        self._life.report(missing=self._missing)
         self._pauses.begin()
         self._none_waits.acquire(timeout=0.0 if self._waiting else timeout_s)
         self._pauses.end(timeout_s)
@@ -222,10 +222,11 @@ class Incoming:
         return key, Arrived(value, sender, came_s)
 
     def _describe(self) -> None:
-        """Take up what servers state of their robots' keys, now and then."""
+        """Take up what servers state of their robots' keys, and tell what never came, now and then."""
         if (now_s := self._clock.monotonic_s()) - self._described_s < _LOOK_S or not self._streams:
             return
         self._described_s = now_s
+        self._life.report(missing=self._missing)
         with contextlib.suppress(BusError):  # the bus itself says so in the log
             names = self._life.bus.names(keys.CONFIG_PREFIX + "*")
             for sample in self._life.bus.read(names).values():
@@ -261,11 +262,13 @@ class Outgoing:
         self._life, self._session, self._clock = life, session, life.clock
         self._wanted = re.compile("|".join(fnmatch.translate(pattern) for pattern in patterns))
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._matched: set[str] = set()  # keys that somebody subscribes to
+        self._matching: list[object] = []  # what tells of that, as long as it is kept
         self._last: dict[str, Sample] = {}
         self._sent, self._dropped = 0, Counter[str]()
         self._age_s: float | None = None
         self._is_heard = False
-        self._closed, self._turn = threading.Event(), threading.Lock()
+        self._closed, self._turn, self._matches = threading.Event(), threading.Lock(), threading.Lock()
         self._watch: Watch | None = None
         self._thread = self._clock.start(life.guarded(self._run), "zenoh-out")
 
@@ -308,18 +311,28 @@ class Outgoing:
                 self._dropped["more keys than are published"] += 1
                 break
             with contextlib.suppress(self._error):  # a name that Zenoh does not allow
-                self._publishers[key] = self._session.declare_publisher(key, congestion_control=self._blocks)
+                publisher = self._session.declare_publisher(key, congestion_control=self._blocks)
+                match = functools.partial(self._match, key, publisher)
+                self._matching.append(publisher.declare_matching_listener(_at_once(match)))
+                match()
+                self._publishers[key] = publisher
 
-    def _pass_on(self) -> None:
-        """Publish what is new."""
+    def _match(self, key: str, publisher: Any, _: object = None) -> None:
+        """Record whether anybody subscribes to a key; the library says it as an object, its type as a flag."""
+        with self._matches:  # so that who comes last has read it last
+            status = publisher.matching_status
+            (self._matched.add if getattr(status, "matching", status) else self._matched.discard)(key)
+
+    def _pass_on(self, changed: Collection[str]) -> None:
+        """Publish what is new of some keys."""
         with self._turn:
             if (watch := self._watch) is None:
                 return
-            for key, publisher in self._publishers.items():
+            for key in changed:
                 if (sample := watch.latest(key)) is not None:
-                    self._publish(key, publisher, sample)
+                    self._publish(key, sample)
 
-    def _publish(self, key: str, publisher: zenoh.Publisher, sample: Sample) -> None:
+    def _publish(self, key: str, sample: Sample) -> None:
         last, mark = self._last.get(key), sample.stamp
         if sample is last:
             return
@@ -331,11 +344,11 @@ class Outgoing:
             self._dropped["overwritten"] += missing if 0 < missing < _MOST_SKIPPED else 0
         if mark is not None and mark.source == self._life.bus.source:
             return  # what came in does not go out again
-        if not _is_matched(publisher):
+        if key not in self._matched:
             self._dropped["nobody hears it"] += 1
             return
         try:
-            publisher.put(sample.value, attachment=None if mark is None else mark.encode())
+            self._publishers[key].put(sample.value, attachment=None if mark is None else mark.encode())
         except self._error:
             self._dropped["Zenoh refused it"] += 1
             return
@@ -344,7 +357,7 @@ class Outgoing:
         self._age_s = None if written_ns is None else (self._clock.monotonic_ns() - written_ns) * 1e-9
 
     def _tell(self) -> None:
-        is_heard = any(_is_matched(publisher) for publisher in self._publishers.values())
+        is_heard = bool(self._matched)
         if is_heard != self._is_heard:
             self._is_heard = is_heard
             self._life.event("zenoh-heard" if is_heard else "zenoh-not-heard", keys=len(self._publishers))
@@ -361,9 +374,3 @@ def _at_once(act: Callable[[Any], None]) -> Any:
     from zenoh.handlers import Callback
 
     return Callback(act, indirect=False)
-
-
-def _is_matched(publisher: Any) -> bool:
-    """Return whether anybody subscribes to a key; the library says it as an object, its type as a flag."""
-    status = publisher.matching_status
-    return bool(getattr(status, "matching", status))

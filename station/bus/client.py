@@ -6,7 +6,7 @@ import contextlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from types import TracebackType
 from typing import Any
@@ -21,7 +21,7 @@ from station.bus.connection import Argument, Connection, ConnectionLost, bulk
 from station.bus.outage import Kind, Outages
 from station.bus.sample import Sample
 from station.bus.stamp import Stamp
-from station.bus.watch import Watch, WatchOfBoth
+from station.bus.watch import OnChange, Watch, WatchOfBoth
 from station.clock import Clock
 from station.errors import BusError
 
@@ -285,7 +285,7 @@ class Bus:
             if cursor == b"0":
                 return sorted(key for key in found if not keys.is_stamp(key))
 
-    def watch(self, wanted: Sequence[str], *, on_change: Callable[[], None] | None = None) -> Watch:
+    def watch(self, wanted: Sequence[str], *, on_change: OnChange | None = None) -> Watch:
         """Return a watch that keeps the newest value of each key at hand; close it after use. See `Watch`."""
         told: dict[str, Any] = {"outages": self.outages, "clocks": self.clocks, "on_change": on_change}
         if not any(map(keys.is_bulk, wanted)) or self.bulk_address is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import msgspec
@@ -85,6 +85,7 @@ def new_source(name: str) -> str:
     return f"{name.replace('.', '-').replace(' ', '-')}.{os.getpid()}.{boot_id()}.{secrets.token_hex(2)}"
 
 
+@lru_cache(maxsize=64)  # for each value that is read it is asked twice
 def boot_of(source: str) -> str:
     """Return the boot that a source names, whose monotonic clock it has; "" where it names none."""
     return next(iter(source.split(".")[2:3]), "")

@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Self
 
 from station.bus import keys, stamp
@@ -35,6 +35,7 @@ from station.errors import BusError
 log = logging.getLogger(__name__)
 
 Read = tuple[bytes | None, stamp.Stamp | None]  # what a key holds, and its stamp
+OnChange = Callable[[Collection[str]], None]
 
 _RETRY_S = 0.05
 _SHORT_S = 1.0  # a connection that lived no longer is not followed by the next one at once
@@ -69,7 +70,7 @@ class Watch:
         clocks: Of the process, by which a write of another machine has an age; None where nobody asks for that.
         probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
         changes: Those of another watch, which then wakes of what happens here too; None for its own.
-        on_change: Called in its own thread with each change that it has taken up, for who would be woken too late in
+        on_change: Called in its own thread, with the keys that it has read anew, for who would be woken too late in
             another one; while it runs nothing more is taken up, and it raises nothing. None for nothing.
 
     Attributes:
@@ -87,7 +88,7 @@ class Watch:
         clocks: Clocks | None = None,
         probe_s: float = _IDLE_S,
         changes: _Changes | None = None,
-        on_change: Callable[[], None] | None = None,
+        on_change: OnChange | None = None,
     ) -> None:
         self._address, self.clock = address, address.clock
         self._outages, self._clocks = outages, clocks
@@ -319,7 +320,7 @@ class Watch:
         self.is_connected = True
         self._armed.set()
         if self._on_change is not None:
-            self._on_change()
+            self._on_change(self._keys)
 
     def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
         wanted = [key for key in self._keys if key in touched or keys.stamp(key) in touched]
@@ -330,7 +331,7 @@ class Watch:
                 self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
             self._changed.notify_all()
         if values and self._on_change is not None:
-            self._on_change()
+            self._on_change(wanted)
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
         known = self._slots.get(key)
@@ -383,7 +384,7 @@ class WatchOfBoth(Watch):
         bulk: BusAddress,
         outages: Outages,
         clocks: Clocks,
-        on_change: Callable[[], None] | None,
+        on_change: OnChange | None,
     ) -> None:
         here, there = ([key for key in wanted if keys.is_bulk(key) == is_bulk] for is_bulk in (False, True))
         super().__init__(address, here, outages=outages, clocks=clocks, on_change=on_change)

@@ -11,7 +11,7 @@ import os
 import socket
 import threading
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, ParamSpec
 
 import msgspec
 
@@ -25,6 +25,7 @@ from station.life.events import Event, Severity
 
 log = logging.getLogger(__name__)
 
+P = ParamSpec("P")
 State = Literal["unconfigured", "inactive", "active", "finalized"]
 Role = Literal["command", "low-level", "recorder", "sensor", "observer", "console"]
 
@@ -190,12 +191,12 @@ class Life:
         """Publish an event: on the bus, so that it stands in the episode, and in the log."""
         self._publisher.publish(name, severity, **detail)
 
-    def guarded(self, act: Callable[[], None]) -> Callable[[], None]:
+    def guarded(self, act: Callable[P, None]) -> Callable[P, None]:
         """Return what another thread may call: where it raises, the server ends with that error."""
 
-        def guard() -> None:
+        def guard(*arguments: P.args, **named: P.kwargs) -> None:
             try:
-                act()
+                act(*arguments, **named)
             except Exception as error:  # noqa: BLE001  # raised again by who runs the server
                 self.failure = self.failure or error
                 self.stop_event.set()

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -51,22 +51,23 @@ def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> N
 
 
 def test_who_asks_for_it_is_told_of_each_change_by_the_watch_itself(bus_server: BusAddress) -> None:
-    told: list[tuple[str, bytes | None]] = []
+    told: list[tuple[str, list[str], bytes | None]] = []
     with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         bus.publish({"k": b"old"})
 
-        def tell() -> None:
+        def tell(changed: Collection[str]) -> None:
             sample = found[0].latest("k") if found else None
-            told.append((threading.current_thread().name, sample.value if sample else None))
+            told.append((threading.current_thread().name, sorted(changed), sample.value if sample else None))
 
         found: list[Watch] = []
-        with bus.watch(["k"], on_change=tell) as watch:
+        with bus.watch(["k", "another"], on_change=tell) as watch:
             wait_until(lambda: told)  # that it has begun to hear
+            assert told[0][1] == ["another", "k"]
             found.append(watch)
             bus.publish({"k": b"new"})
-            wait_until(lambda: ("bus-watch", b"new") in told)
+            wait_until(lambda: ("bus-watch", ["k"], b"new") in told)
             bus.call("DEL", "k")
-            wait_until(lambda: told[-1] == ("bus-watch", None))
+            wait_until(lambda: told[-1] == ("bus-watch", ["k"], None))
 
 
 def test_any_of_several_keys_wakes_who_has_not_seen_its_value(bus_server: BusAddress) -> None:
