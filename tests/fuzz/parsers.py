@@ -219,6 +219,14 @@ _WANTED_G1 = {"kind": "g1", "config": {"policy": "tracker"}, "agent": 5, "proces
 WANTED = {"station": "a", "who": "ada", "servers": {"g1": _WANTED_G1}}
 
 
+_SWITCHER_ANSWER = bytes(4) + b"\x05" + bytes(7) + b"\xe9\3" + bytes(6) + bytes(4) + b"\x0f\0\0\0" + b'{"name": "ai"}\0'
+
+
+def _motion_switcher(data: bytes) -> None:
+    if (answer := words.answer_of(b"\0\1" + data[2:])) is not None:
+        words.name_of(answer.text)
+
+
 def _host_facts(data: bytes) -> object:
     said = decode_health(data)
     return None if said is None else hosts.facts_of(said)
@@ -691,8 +699,8 @@ def _requests() -> list[Parser]:
                "g1": {"process": 1, "pid": 2, "code": -9}}, "free_gb": 1.5}}),), ("station.supervision.hosts",)),
         Parser("log of another machine", agent.decode_log,
                (b'{"process": 1, "first": 3, "lines": ["a", "b"], "wall_ns": 5}',), ("station.supervision.agent",)),
-        Parser("motion switcher", lambda data: words.name_of(data.decode(errors="replace")),
-               (b'{"form": "0", "name": "ai"}',), ("adapters.robots.g1.dds.words",)),
+        Parser("motion switcher", _motion_switcher, (_SWITCHER_ANSWER, _SWITCHER_ANSWER[:28]),
+               ("adapters.robots.g1.dds.words",)),
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
         Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
                ("station.motion.playback_requests",)),

@@ -9,11 +9,12 @@ Source: ``include/unitree/idl/hg`` and ``crc.h`` of unitreerobotics/unitree_sdk2
 
 from __future__ import annotations
 
-import zlib
+from array import array
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from fastcrc import crc32
 from numpy.typing import NDArray
 
 SLOTS = 35
@@ -24,21 +25,22 @@ TIMED_OUT = 0x40000000
 
 _BYTE = "u1"
 _MOTOR_STATE = np.dtype({
-    "names": ["q", "dq", "ddq", "tau", "temperature", "voltage", "sensor", "error", "reserve", "next_mode"],
-    "formats": ["<f4", "<f4", "<f4", "<f4", ("<i2", 2), "<f4", ("<u4", 2), "<u4", ("<u4", 4), _BYTE],
-    "offsets": [0, 4, 8, 12, 16, 20, 24, 32, 36, 52],
+    "names": ["q", "dq", "ddq", "tau", "motion", "temperature", "voltage", "sensor", "error", "reserve", "next_mode"],
+    "formats": ["<f4", "<f4", "<f4", "<f4", ("<f4", 4), ("<i2", 2), "<f4", ("<u4", 2), "<u4", ("<u4", 4), _BYTE],
+    "offsets": [0, 4, 8, 12, 0, 16, 20, 24, 32, 36, 52],
     "itemsize": 56,
 })  # fmt: skip
 STATE = np.dtype({
-    "names": ["header", "version", "mode_pr", "mode_machine", "tick", "quat_wxyz", "gyro", "accelerometer", "rpy",
-              "imu_temperature", "first_mode", "motors", "remote", "reserve", "crc"],
-    "formats": [(_BYTE, 4), ("<u4", 2), _BYTE, _BYTE, "<u4", ("<f4", 4), ("<f4", 3), ("<f4", 3), ("<f4", 3),
-                "<i2", _BYTE, (_MOTOR_STATE, SLOTS), (_BYTE, 40), ("<u4", 4), "<u4"],
-    "offsets": [0, 4, 12, 13, 16, 20, 36, 48, 60, 72, 74, 76, 2032, 2072, 2088],
+    "names": ["header", "version", "mode_pr", "mode_machine", "tick", "quat_wxyz", "gyro", "accelerometer", "inertial",
+              "rpy", "imu_temperature", "first_mode", "motors", "remote", "reserve", "crc"],
+    "formats": [(_BYTE, 4), ("<u4", 2), _BYTE, _BYTE, "<u4", ("<f4", 4), ("<f4", 3), ("<f4", 3), ("<f4", 10),
+                ("<f4", 3), "<i2", _BYTE, (_MOTOR_STATE, SLOTS), (_BYTE, 40), ("<u4", 4), "<u4"],
+    "offsets": [0, 4, 12, 13, 16, 20, 36, 48, 20, 60, 72, 74, 76, 2032, 2072, 2088],
     "itemsize": 2092,
 })  # fmt: skip
-"""A LowState as it is on the wire. ``tick`` [ms]; motors: q [rad], dq [rad/s], ddq [rad/s^2], tau [N m], temperature of
-casing and winding [°C], voltage [V], error bits; gyro [rad/s], accelerometer [m/s^2], rpy [rad] of the pelvis."""
+"""A LowState as it is on the wire. ``tick`` [ms]; motors: q [rad], dq [rad/s], ddq [rad/s^2], tau [N m], those four at
+once as ``motion``, temperature of casing and winding [°C], voltage [V], error bits; of the pelvis quat_wxyz, gyro
+[rad/s], accelerometer [m/s^2], those three at once as ``inertial``, rpy [rad]."""
 
 _MOTOR_CMD = np.dtype({
     "names": ["q", "dq", "tau", "kp", "kd", "reserve", "next_mode"],
@@ -54,14 +56,25 @@ CMD = np.dtype({
 })  # fmt: skip
 """A LowCmd as it is on the wire: torque = tau + kp (q - q_measured) + kd (dq - dq_measured)."""
 
+BATTERY = np.dtype({
+    "names": ["header", "voltages", "current", "soc", "soh", "temperature"],
+    "formats": [(_BYTE, 4), ("<u4", 3), "<i4", _BYTE, _BYTE, ("<i2", 12)],
+    "offsets": [0, 88, 100, 104, 105, 106],
+    "itemsize": 168,
+})  # fmt: skip
+"""A BmsState as it is on the wire: ``voltages`` [mV], the pack's first, current [mA], soc, soh [%], temperature [°C]"""
+
 _HEADER = (0, 1, 0, 0)  # CDR of version 1, little endian
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def states(messages: Sequence[bytes]) -> NDArray[Any]:
     """Return LowStates as records of `STATE`, shape (k,); those of another length or byte order are left out."""
-    whole = [message for message in messages if len(message) == STATE.itemsize and message[:2] == b"\0\1"]
-    return np.frombuffer(b"".join(whole), STATE)
+    return _records(messages, STATE)
+
+
+def batteries(messages: Sequence[bytes]) -> NDArray[Any]:
+    """Return BmsStates as records of `BATTERY`, shape (k,); those of another length or byte order are left out."""
+    return _records(messages, BATTERY)
 
 
 def intact_states(messages: Sequence[bytes]) -> NDArray[Any]:
@@ -121,12 +134,17 @@ def is_intact(message: bytes) -> bool:
 def crc32_of_words(data: bytes) -> int:
     """Return the CRC-32 that Unitree makes of little-endian words, most significant bit first.
 
-    Polynomial 0x04C11DB7, from 0xFFFFFFFF, neither reflected nor inverted at the end. zlib has the reflected one: the
-    bits of what goes in and of what comes out are reversed.
+    Polynomial 0x04C11DB7, from 0xFFFFFFFF, neither reflected nor inverted at the end: CRC-32/MPEG-2 of the words' bytes
+    in the order of the bits.
     """
-    words = np.frombuffer(data, "<u4").byteswap().tobytes()
-    reflected = zlib.crc32(words.translate(_REVERSED)) ^ 0xFFFFFFFF
-    return int.from_bytes(reflected.to_bytes(4, "little").translate(_REVERSED), "big")
+    words = array("I", data)
+    words.byteswap()
+    return crc32.mpeg_2(words.tobytes())
+
+
+def _records(messages: Sequence[bytes], kind: np.dtype[Any]) -> NDArray[Any]:
+    whole = [message for message in messages if len(message) == kind.itemsize and message[:2] == b"\0\1"]
+    return np.frombuffer(b"".join(whole), kind)
 
 
 def _new(kind: np.dtype[Any]) -> NDArray[Any]:

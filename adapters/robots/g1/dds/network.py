@@ -11,6 +11,7 @@ import logging
 from dataclasses import dataclass
 from typing import Any, Self
 
+from cyclonedds._clayer import ddspy_take
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
@@ -25,6 +26,7 @@ from adapters.robots.g1.dds.options import LOOPBACK, NetworkOptions
 from station.errors import ConfigError, StationError
 
 _MOST_DISCOVERED = 4096
+_ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _BY_NAMES = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 """How Fast DDS (1.15 of the OMG's vendors), which most of ROS 2 uses, describes types that have sequences or arrays,
 Cyclone 11.0 takes for none, and hears and is heard by nobody on their topics: it goes by the names of types there.
@@ -199,8 +201,14 @@ class Reader:
         return bool(self._waits.wait(duration(seconds=timeout_s)))
 
     def take(self) -> list[bytes]:
-        """Return the messages since the last call as they came, header included, oldest first."""
-        return [message.data for message in self.take_stamped()]
+        """Return the messages since the last call as they came, header included, oldest first.
+
+        Past `DataReader.take`, which makes an object of each: of ten states that is a third of the time.
+        """
+        taken = ddspy_take(self._reader._ref, _ANY, self._depth)
+        if isinstance(taken, int):
+            raise DDSException(taken, f"taking messages of {self._kind.__name__}")
+        return [data for data, about in taken if about.valid_data]
 
     def take_stamped(self) -> list[RawMessage]:
         """As `take`, with what DDS says of each: when it was sent, by its sender's clock (``source_timestamp``)."""

@@ -53,8 +53,9 @@ class Remote:
 
     def update(self, remotes: NDArray[np.uint8]) -> None:
         """Take the bytes of messages, oldest first, shape (k, 40); those with another head do not count."""
-        newest = remotes[-1].tobytes()
-        if newest == self._settled and (remotes == remotes[-1]).all():
+        data, length = remotes.tobytes(), remotes.shape[1]
+        newest = data[-length:]
+        if newest == self._settled and data == newest * len(remotes):
             return  # nothing is touched, as most of the time
         self.is_on = bool(remotes[-1].any())
         heads, bits = remotes[:, :2].view("<u2")[:, 0].tolist(), remotes[:, 2:4].view("<u2")[:, 0].tolist()

@@ -6,6 +6,7 @@ damping. Where a guard owns the motors, commands go to it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,7 +42,7 @@ GENTLE_S, GENTLE_RAD_S, _ARRIVED_RAD = 5.0, 0.9, 0.01
 """For how long after arming, at most, no target moves faster than that: below 0.02 rad in a control period. It is over
 once the robot was sent where it is asked to be: a policy that balances falls where its targets come late."""
 
-_MOST_KP, _MOST_KD = np.array([most_gains(name) for name in G1_29]).T
+_MOST_GAINS = np.array([most_gains(name) for name in G1_29]).T.ravel()  # stiffness of each joint, then damping
 
 _DEPTH = 512  # a second of states
 
@@ -79,7 +80,7 @@ class G1Dds:
         self._is_gentle = True
         self._entry_q: Floats = np.zeros(JOINTS)
         self._sent_q: Floats = np.zeros(JOINTS)
-        self._is_there = np.ones(JOINTS, bool)
+        self._is_there, self._is_short_of_motors = np.ones(JOINTS, bool), False
         self._bad_targets = ""
         try:
             self._sender: CommandSender = (
@@ -109,19 +110,33 @@ class G1Dds:
         if len(records):
             self._newest = records[-1]
             self._remote.update(np.ascontiguousarray(records["remote"]))
-            self._samples.append(rows.of(sent))
-            self._state = _state(self._newest, self._clock.monotonic_ns())
-        for battery in self._batteries.take_objects():
-            self._monitor.on_battery(float(battery.soc), now_s)
-            self._battery = codec.f64(rows.battery(battery))
+            samples = rows.of(sent)
+            self._samples.append(samples)
+            self._state = self._measured(samples[-1])
+        if came := self._batteries.take():
+            for battery in messages.batteries(came)[-1:]:
+                self._monitor.on_battery(float(battery["soc"]), now_s)
+                self._battery = codec.f64(rows.battery(battery))
+
+    def _measured(self, sample: Floats) -> RobotState:
+        """Return what a row of `rows.SAMPLES` says, with zeros for the motors that the robot does not have."""
+        q, dq, inertial = sample[rows.Q], sample[rows.DQ], sample[rows.INERTIAL]
+        if self._is_short_of_motors:
+            q, dq = np.where(self._is_there, q, 0.0), np.where(self._is_there, dq, 0.0)
+        quat = inertial[:4]
+        return RobotState(
+            mono_ns=self._clock.monotonic_ns(), q=q, dq=dq,
+            quat_wxyz=quat / max(math.hypot(*quat.tolist()), 1e-9), gyro=inertial[4:7],
+        )  # fmt: skip
 
     def _of_motors_that_are_there(self, records: NDArray[Any]) -> NDArray[Any]:
         """Return the states with zeros for the motors that the robot does not have, whatever it sends for them."""
-        absent = list(ABSENT.get(int(records[-1]["mode_machine"]), ())) if len(records) else []
+        absent = list(ABSENT.get(int(records["mode_machine"][-1]), ())) if len(records) else []
         if not absent:
             return records
         self._is_there[:] = True
         self._is_there[absent] = False
+        self._is_short_of_motors = True
         told = records.copy()
         told["motors"][:, absent] = 0
         return told
@@ -142,7 +157,7 @@ class G1Dds:
             self._entry_q = q
         else:
             q, kp = self._gentle(targets.q), targets.kp
-        q = np.where(self._is_there, np.clip(q, self._lower, self._upper), 0.0)
+        q = np.where(self._is_there, np.minimum(np.maximum(q, self._lower), self._upper), 0.0)
         kp, kd = kp * self._is_there, targets.kd * self._is_there
         self._steps += 1
         self._sent_q = q
@@ -271,9 +286,11 @@ class G1Dds:
 
     def _gentle(self, q: Floats) -> Floats:
         """Return targets that leave the pose in which the robot was armed slowly."""
+        if not self._is_gentle:
+            return q
         since_s = (self._steps - FIRST_STEPS) * self._dt_s
         has_arrived = since_s > ENTRY_S and float(np.abs(q - self._sent_q).max()) < _ARRIVED_RAD
-        self._is_gentle = self._is_gentle and since_s < GENTLE_S and not has_arrived
+        self._is_gentle = since_s < GENTLE_S and not has_arrived
         if not self._is_gentle:
             return q
         share = min(1.0, since_s / ENTRY_S)
@@ -284,22 +301,12 @@ class G1Dds:
 
 def _why_not_send(targets: JointTargets) -> str:
     """Return what no policy may ask of the motors, whatever is wrong with it, or ""."""
-    for what, values, most in (("stiffness", targets.kp, _MOST_KP), ("damping", targets.kd, _MOST_KD)):
-        if not ((values >= 0.0) & (values <= most)).all():  # so that what is no number is none of these
-            worst = int(np.argmax(~((values >= 0.0) & (values <= most))))
-            return f"the policy asked for a {what} of {values[worst]:g} of {G1_29[worst]}; at most {most[worst]:g}"
+    gains = np.concatenate([targets.kp, targets.kd])
+    is_allowed = (gains >= 0.0) & (gains <= _MOST_GAINS)  # so that what is no number is not
+    if not is_allowed.all():
+        worst = int(np.argmin(is_allowed))
+        what, joint = ("damping" if worst >= JOINTS else "stiffness"), G1_29[worst % JOINTS]
+        return f"the policy asked for a {what} of {gains[worst]:g} of {joint}; at most {_MOST_GAINS[worst]:g}"
     if not np.isfinite(targets.q).all():
         return "the policy asked for a position that is no number"
     return ""
-
-
-def _state(record: NDArray[Any], mono_ns: int) -> RobotState:
-    motors = record["motors"][:JOINTS]
-    quat = record["quat_wxyz"].astype(np.float64)
-    return RobotState(
-        mono_ns=mono_ns,
-        q=motors["q"].astype(np.float64),
-        dq=motors["dq"].astype(np.float64),
-        quat_wxyz=quat / max(float(np.linalg.norm(quat)), 1e-9),
-        gyro=record["gyro"].astype(np.float64),
-    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from adapters.robots.g1.joints import G1_29
 from station.contract import Element, elements
 from station.description import JOINT
 
@@ -12,13 +13,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _JOINT_COLUMNS = (
-    ("q", "pos", "rad"), ("dq", "vel", "rad/s"), ("ddq", "acc", "rad/s^2"), ("tau", "torque", "N m"),
-    ("casing", "casing", "degC"), ("winding", "winding", "degC"), ("voltage", "voltage", "V"), ("error", "error", ""),
+    ("pos", "rad"), ("vel", "rad/s"), ("acc", "rad/s^2"), ("torque", "N m"), ("casing", "degC"), ("winding", "degC"),
+    ("voltage", "V"), ("error", ""),
 )  # fmt: skip
 
 SAMPLES: tuple[Element, ...] = (
     *elements((("tick",), "ms"), (("mode_machine",), "")),
-    *(element for _, name, unit in _JOINT_COLUMNS for element in elements(((f"{JOINT}_{name}",), unit))),
+    *(element for name, unit in _JOINT_COLUMNS for element in elements(((f"{JOINT}_{name}",), unit))),
     *elements(
         (("quat_w", "quat_x", "quat_y", "quat_z"), ""),
         (("gyro_x", "gyro_y", "gyro_z"), "rad/s"),
@@ -29,6 +30,12 @@ SAMPLES: tuple[Element, ...] = (
 )
 """Of each state; the pelvis' IMU, its quaternion in a world whose yaw is where the robot was switched on."""
 
+_JOINTS = len(G1_29)
+_REMOTE = 6  # numbers behind those of the IMU, with its temperature
+Q, DQ = slice(2, 2 + _JOINTS), slice(2 + _JOINTS, 2 + 2 * _JOINTS)
+INERTIAL = slice(2 + len(_JOINT_COLUMNS) * _JOINTS, 12 + len(_JOINT_COLUMNS) * _JOINTS)
+"""Where in a row of `SAMPLES` the joints' positions and velocities are, and quaternion, gyro, accelerometer."""
+
 BATTERY: tuple[Element, ...] = elements(
     (("soc", "soh"), "%"), (("pack_voltage",), "V"), (("current",), "A"), (("temperature_max",), "degC")
 )
@@ -38,31 +45,25 @@ def of(records: NDArray[Any]) -> NDArray[np.float64]:
     """Return states, records of `messages.STATE`, shape (k,), as rows of `SAMPLES`, shape (k, m)."""
     import numpy as np
 
-    from adapters.robots.g1.dds.health_monitor import JOINTS
-
-    motors = records["motors"][:, :JOINTS]
-    special = {"casing": motors["temperature"][..., 0], "winding": motors["temperature"][..., 1]}
+    rows = np.empty((len(records), INERTIAL.stop + _REMOTE))
+    rows[:, 0], rows[:, 1] = records["tick"], records["mode_machine"]
+    motors = records["motors"][:, :_JOINTS]
+    joints = rows[:, Q.start : INERTIAL.start].reshape(len(records), len(_JOINT_COLUMNS), _JOINTS)
+    joints[:, :4] = motors["motion"].swapaxes(1, 2)
+    joints[:, 4:6] = motors["temperature"].swapaxes(1, 2)
+    joints[:, 6], joints[:, 7] = motors["voltage"], motors["error"]
+    rows[:, INERTIAL] = records["inertial"]
     remote = np.ascontiguousarray(records["remote"])
-    buttons = remote[:, 2:4].view("<u2")
-    sticks = remote.view("<f4")[:, (1, 5, 2, 3)]
-    columns = (
-        records["tick"][:, None],
-        records["mode_machine"][:, None],
-        *(special[name] if name in special else motors[name] for name, _, _ in _JOINT_COLUMNS),
-        records["quat_wxyz"],
-        records["gyro"],
-        records["accelerometer"],
-        records["imu_temperature"][:, None],
-        buttons,
-        sticks,
-    )
-    return np.concatenate(columns, axis=1, dtype=np.float64)
+    rest = rows[:, INERTIAL.stop :]
+    rest[:, 0] = records["imu_temperature"]
+    rest[:, 1] = remote[:, 2:4].view("<u2")[:, 0]
+    rest[:, 2:] = remote.view("<f4")[:, (1, 5, 2, 3)]
+    return rows
 
 
-def battery(message: Any) -> NDArray[np.float64]:
-    """Return what a battery says, an object of `types.BmsState`, in the order of `BATTERY`."""
+def battery(record: NDArray[Any]) -> NDArray[np.float64]:
+    """Return what a battery says, a record of `messages.BATTERY`, in the order of `BATTERY`."""
     import numpy as np
 
-    return np.array([
-        message.soc, message.soh, message.bmsvoltage[0] / 1000.0, message.current / 1000.0, max(message.temperature)
-    ], dtype=np.float64)  # fmt: skip
+    volts, hottest = record["voltages"][0] / 1000.0, record["temperature"].max()
+    return np.array([record["soc"], record["soh"], volts, record["current"] / 1000.0, hottest], dtype=np.float64)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from adapters.robots.g1.dds import topics, types, words
-from adapters.robots.g1.dds.network import Network
+from adapters.robots.g1.dds.network import Network, raw
 from station.clock import Clock
 
 CHECK, RELEASE = 1001, 1003
@@ -32,7 +32,7 @@ class Switcher:
 
     def __init__(self, network: Network, clock: Clock) -> None:
         self._clock = clock
-        self._requests = network.writer(topics.SWITCHER_REQUEST, types.Request)
+        self._requests = network.writer(topics.SWITCHER_REQUEST, raw(types.Request))
         self._answers = network.reader(topics.SWITCHER_RESPONSE, types.Response, depth=32)
         self._asked: dict[int, int] = {}
         self._asked_s = -math.inf
@@ -55,12 +55,12 @@ class Switcher:
     def poll(self) -> None:
         """Read answers, and ask again where it is time."""
         now_s = self._clock.monotonic_s()
-        for answer in self._answers.take_objects():
-            api = self._asked.pop(answer.header.identity.id, 0)
-            if api == CHECK and answer.header.status.code == 0:
-                self._on_name(answer.data, now_s)
-            elif api == RELEASE and answer.header.status.code != 0:
-                self._end(f"the motion switcher said no (code {answer.header.status.code})")
+        for answer in filter(None, map(words.answer_of, self._answers.take())):
+            api = self._asked.pop(answer.number, 0)
+            if api == CHECK and answer.code == 0:
+                self._on_name(answer.text, now_s)
+            elif api == RELEASE and answer.code != 0:
+                self._end(f"the motion switcher said no (code {answer.code})")
         if self.is_releasing and now_s > self._releasing_until_s:
             still = f"{self.controller!r} holds the motors" if self.controller else "the motion switcher did not answer"
             self._end(f"after {_RELEASES_WITHIN_S:g} s {still}; on the remote: L2+B, then L2+R2")
@@ -84,7 +84,4 @@ class Switcher:
         asked = max(self._clock.monotonic_ns(), max(self._asked, default=0) + 1)
         self._asked = {key: value for key, value in self._asked.items() if asked - key < 10_000_000_000}
         self._asked[asked] = api
-        header = types.RequestHeader(
-            types.RequestIdentity(asked, api), types.RequestLease(0), types.RequestPolicy(0, False)
-        )
-        self._requests.write_object(types.Request(header, "{}", []))
+        self._requests.write(words.request(asked, api))

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
-from adapters.robots.g1.dds import messages, types
+from adapters.robots.g1.dds import messages, rows, types, words
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.options import NetworkOptions
 from station.errors import ConfigError
@@ -128,6 +128,25 @@ def test_a_record_is_the_message_that_cyclone_would_write():
     sent = messages.command(command.serialize())
     assert sent["motors"]["kd"][0].tolist() == [motor.kd for motor in command.motor_cmd]
     assert messages.modes(sent, 35).tolist() == [motor.mode for motor in command.motor_cmd]
+
+
+def test_what_a_battery_says_is_what_cyclone_would_write():
+    state = types.BmsState(
+        1, 2, 3, list(range(40)), [54321, 2, 3], -1500, 88, 99, list(range(-2, 10)), 5, 6, [7] * 5, [8] * 3
+    )
+    (record,) = messages.batteries([b"", state.serialize(), state.serialize()[:-1]])
+    assert rows.battery(record).tolist() == [88.0, 99.0, 54.321, -1.5, 9.0]
+
+
+def test_the_switchers_requests_and_answers_are_what_cyclone_would_write():
+    identity = types.RequestIdentity(1 << 40, 1001)
+    header = types.RequestHeader(identity, types.RequestLease(0), types.RequestPolicy(0, False))
+    assert words.request(1 << 40, 1001) == types.Request(header, "{}", []).serialize()
+    for text in ('{"name": "ai"}', "", "\u00fc"):
+        answer = types.Response(types.ResponseHeader(identity, types.ResponseStatus(-3)), text, [1, 2]).serialize()
+        assert words.answer_of(answer) == (1 << 40, -3, text)
+        assert words.answer_of(b"\0\0" + answer[2:]) is None, "another byte order"
+        assert words.answer_of(answer[:30] if text else answer[:27]) is None
 
 
 @pytest.mark.parametrize("damage", [lambda m: m[:-1], lambda m: m + b"\0", lambda m: b"\0\0" + m[2:], lambda m: b""])
