@@ -42,7 +42,9 @@ GENTLE_S, GENTLE_RAD_S, _ARRIVED_RAD = 5.0, 0.9, 0.01
 """For how long after arming, at most, no target moves faster than that: below 0.02 rad in a control period. It is over
 once the robot was sent where it is asked to be: a policy that balances falls where its targets come late."""
 
-_MOST_GAINS = np.array([most_gains(name) for name in G1_29]).T.ravel()  # stiffness of each joint, then damping
+_MOST = np.concatenate([np.full(JOINTS, np.finfo(float).max), *np.array([most_gains(name) for name in G1_29]).T])
+_LEAST = np.concatenate([-_MOST[:JOINTS], np.zeros(2 * JOINTS)])
+_ASKED = ("position", "stiffness", "damping")  # of each joint, in this order
 
 _DEPTH = 512  # a second of states
 
@@ -120,14 +122,16 @@ class G1Dds:
 
     def _measured(self, sample: Floats) -> RobotState:
         """Return what a row of `rows.SAMPLES` says, with zeros for the motors that the robot does not have."""
-        q, dq, inertial = sample[rows.Q], sample[rows.DQ], sample[rows.INERTIAL]
-        if self._is_short_of_motors:
-            q, dq = np.where(self._is_there, q, 0.0), np.where(self._is_there, dq, 0.0)
+        inertial = sample[rows.INERTIAL]
         quat = inertial[:4]
         return RobotState(
-            mono_ns=self._clock.monotonic_ns(), q=q, dq=dq,
+            mono_ns=self._clock.monotonic_ns(), q=self._of_motors(sample[rows.Q]), dq=self._of_motors(sample[rows.DQ]),
             quat_wxyz=quat / max(math.hypot(*quat.tolist()), 1e-9), gyro=inertial[4:7],
         )  # fmt: skip
+
+    def _of_motors(self, values: Floats) -> Floats:
+        """Return numbers of each joint, with zeros for the motors that the robot does not have."""
+        return np.where(self._is_there, values, 0.0) if self._is_short_of_motors else values
 
     def _of_motors_that_are_there(self, records: NDArray[Any]) -> NDArray[Any]:
         """Return the states with zeros for the motors that the robot does not have, whatever it sends for them."""
@@ -157,8 +161,8 @@ class G1Dds:
             self._entry_q = q
         else:
             q, kp = self._gentle(targets.q), targets.kp
-        q = np.where(self._is_there, np.minimum(np.maximum(q, self._lower), self._upper), 0.0)
-        kp, kd = kp * self._is_there, targets.kd * self._is_there
+        q = self._of_motors(np.minimum(np.maximum(q, self._lower), self._upper))
+        kp, kd = self._of_motors(kp), self._of_motors(targets.kd)
         self._steps += 1
         self._sent_q = q
         assert self._newest is not None
@@ -301,12 +305,11 @@ class G1Dds:
 
 def _why_not_send(targets: JointTargets) -> str:
     """Return what no policy may ask of the motors, whatever is wrong with it, or ""."""
-    gains = np.concatenate([targets.kp, targets.kd])
-    is_allowed = (gains >= 0.0) & (gains <= _MOST_GAINS)  # so that what is no number is not
-    if not is_allowed.all():
-        worst = int(np.argmin(is_allowed))
-        what, joint = ("damping" if worst >= JOINTS else "stiffness"), G1_29[worst % JOINTS]
-        return f"the policy asked for a {what} of {gains[worst]:g} of {joint}; at most {_MOST_GAINS[worst]:g}"
-    if not np.isfinite(targets.q).all():
-        return "the policy asked for a position that is no number"
-    return ""
+    asked = np.concatenate([targets.q, targets.kp, targets.kd])
+    is_allowed = (asked >= _LEAST) & (asked <= _MOST)  # so that what is no number is not
+    if is_allowed.all():
+        return ""
+    first = int(np.argmin(is_allowed))
+    what, joint = _ASKED[first // JOINTS], G1_29[first % JOINTS]
+    expected = "a number" if first < JOINTS else f"0 to {_MOST[first]:g}"
+    return f"the policy asked for a {what} of {asked[first]:g} of {joint}; expected {expected}"

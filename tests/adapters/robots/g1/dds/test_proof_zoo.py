@@ -28,7 +28,7 @@ REFUSED = {
         "needs the velocity of the base, which this robot does not",
     ),
     "rlgym-g1": ("zoo:policies/rlgym_g1_motion.pt", "drives 12 joints, the robot has 29"),
-    "asap": ("zoo:policies/asap_dec_loco_g1.onnx", "asked for a stiffness of 304 of waist_yaw; at most 300"),
+    "asap": ("zoo:policies/asap_dec_loco_g1.onnx", "asked for a stiffness of 304 of waist_yaw; expected 0 to 300"),
 }
 """What does not fit a real G1 with 29 joints, and what is said of it."""
 

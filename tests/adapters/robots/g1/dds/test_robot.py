@@ -239,10 +239,10 @@ def _ask(found: Bench, **changed: Any) -> JointTargets:
 
 
 @pytest.mark.parametrize(("changed", "words"), [
-    ({"kp": np.full(29, 1000.0)}, "asked for a stiffness of 1000 of left_hip_pitch; at most 200"),
+    ({"kp": np.full(29, 1000.0)}, "asked for a stiffness of 1000 of left_hip_pitch; expected 0 to 200"),
     ({"kp": np.full(29, np.nan)}, "asked for a stiffness of nan"),
     ({"kd": np.full(29, -1.0)}, "asked for a damping of -1"),
-    ({"q": np.full(29, np.inf)}, "asked for a position that is no number"),
+    ({"q": np.full(29, np.inf)}, "asked for a position of inf of left_hip_pitch; expected a number"),
 ])  # fmt: skip
 def test_r15_what_no_policy_may_ask_for_reaches_no_motor(changed, words):
     with bench() as found:
