@@ -76,7 +76,7 @@ class G1Dds:
         self._switcher = Switcher(self._network, clock)
         self._state: RobotState | None = None
         self._newest: NDArray[Any] | None = None
-        self._samples: list[NDArray[np.float64]] = []
+        self._samples: list[bytes] = []
         self._battery = b""
         self._steps = -1  # since it was armed; -1 while it is damped
         self._is_gentle = True
@@ -113,12 +113,12 @@ class G1Dds:
             self._newest = records[-1]
             self._remote.update(np.ascontiguousarray(records["remote"]))
             samples = rows.of(sent)
-            self._samples.append(samples)
+            self._samples.append(samples.tobytes())
             self._state = self._measured(samples[-1])
-        if came := self._batteries.take():
-            for battery in messages.batteries(came)[-1:]:
-                self._monitor.on_battery(float(battery["soc"]), now_s)
-                self._battery = codec.f64(rows.battery(battery))
+        for message in self._batteries.take():
+            if (battery := messages.battery(message)) is not None:
+                self._monitor.on_battery(battery[0], now_s)
+                self._battery = codec.f64(battery)
 
     def _measured(self, sample: Floats) -> RobotState:
         """Return what a row of `rows.SAMPLES` says, with zeros for the motors that the robot does not have."""
@@ -135,9 +135,10 @@ class G1Dds:
 
     def _of_motors_that_are_there(self, records: NDArray[Any]) -> NDArray[Any]:
         """Return the states with zeros for the motors that the robot does not have, whatever it sends for them."""
-        absent = list(ABSENT.get(int(records["mode_machine"][-1]), ())) if len(records) else []
-        if not absent:
+        missing = ABSENT.get(int(records["mode_machine"][-1])) if len(records) else None
+        if missing is None:
             return records
+        absent = list(missing)
         self._is_there[:] = True
         self._is_there[absent] = False
         self._is_short_of_motors = True
@@ -236,7 +237,7 @@ class G1Dds:
 
     def values(self) -> Mapping[str, bytes]:
         """Return what was measured since the last call, by the name of its stream."""
-        found = {"samples": codec.f64(np.concatenate(self._samples).ravel())} if self._samples else {}
+        found = {"samples": b"".join(self._samples)} if self._samples else {}
         self._samples = []
         if self._battery:
             found["battery"], self._battery = self._battery, b""

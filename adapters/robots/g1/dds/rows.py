@@ -39,6 +39,7 @@ INERTIAL = slice(2 + len(_JOINT_COLUMNS) * _JOINTS, 12 + len(_JOINT_COLUMNS) * _
 BATTERY: tuple[Element, ...] = elements(
     (("soc", "soh"), "%"), (("pack_voltage",), "V"), (("current",), "A"), (("temperature_max",), "degC")
 )
+"""As `messages.battery` returns them."""
 
 
 def of(records: NDArray[Any]) -> NDArray[np.float64]:
@@ -59,11 +60,3 @@ def of(records: NDArray[Any]) -> NDArray[np.float64]:
     rest[:, 1] = remote[:, 2:4].view("<u2")[:, 0]
     rest[:, 2:] = remote.view("<f4")[:, (1, 5, 2, 3)]
     return rows
-
-
-def battery(record: NDArray[Any]) -> NDArray[np.float64]:
-    """Return what a battery says, a record of `messages.BATTERY`, in the order of `BATTERY`."""
-    import numpy as np
-
-    volts, hottest = record["voltages"][0] / 1000.0, record["temperature"].max()
-    return np.array([record["soc"], record["soh"], volts, record["current"] / 1000.0, hottest], dtype=np.float64)

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
-from adapters.robots.g1.dds import messages, rows, types, words
+from adapters.robots.g1.dds import messages, types, words
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.options import NetworkOptions
 from station.errors import ConfigError
@@ -134,8 +134,8 @@ def test_what_a_battery_says_is_what_cyclone_would_write():
     state = types.BmsState(
         1, 2, 3, list(range(40)), [54321, 2, 3], -1500, 88, 99, list(range(-2, 10)), 5, 6, [7] * 5, [8] * 3
     )
-    (record,) = messages.batteries([b"", state.serialize(), state.serialize()[:-1]])
-    assert rows.battery(record).tolist() == [88.0, 99.0, 54.321, -1.5, 9.0]
+    assert messages.battery(state.serialize()) == (88, 99, 54.321, -1.5, 9)
+    assert messages.battery(state.serialize()[:-1]) is messages.battery(b"\0\0" + state.serialize()[2:]) is None
 
 
 def test_the_switchers_requests_and_answers_are_what_cyclone_would_write():
