@@ -114,6 +114,21 @@ def test_keys_that_match_go_out_byte_for_byte_with_the_stamps_of_the_bus(
     assert bridge.interrupt() == 0
 
 
+def test_a_peer_that_comes_and_goes_in_haste_is_heard_by_what_it_did_last(
+    bridge: BridgeStation, bus: Bus, endpoint: str
+) -> None:
+    bus.publish({STATE: b"before"})
+    bridge.start(publish=["robot_state_*"], listen=endpoint)
+    with contextlib.closing(Peer(endpoint)) as peer:
+        for _ in range(30):
+            peer.session.declare_subscriber(STATE, lambda _: None).undeclare()
+        peer.subscribe(STATE)
+        bridge.until(lambda: [bus.publish({STATE: b"last"})] and peer.heard[STATE])
+        peer.session.declare_subscriber(STATE, lambda _: None).undeclare()
+        count = len(peer.heard[STATE])
+        bridge.until(lambda: [bus.publish({STATE: b"one more"})] and len(peer.heard[STATE]) > count + 5)
+
+
 def test_accepted_keys_come_in_where_they_hold_what_their_contract_says(bridge: BridgeStation, endpoint: str) -> None:
     bridge.start(accept=[WALK, "rio/left_arm"], listen=endpoint)
     with contextlib.closing(Peer(endpoint)) as peer:

@@ -15,8 +15,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from fastcrc import crc32
 from numpy.typing import NDArray
+
+from station import libraries
+
+try:
+    from fastcrc import crc32
+except ImportError:  # whoever has the extra from before it was part of it
+    libraries.expect("a G1's wire", "fastcrc", "g1")
+    raise
 
 SLOTS = 35
 """Motors in a message; a robot has fewer."""
