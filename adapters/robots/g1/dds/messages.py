@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from station import libraries
+from station.errors import StationError
 
 try:
     from fastcrc import crc32
-except ImportError:  # whoever has the extra from before it was part of it
-    libraries.expect("a G1's wire", "fastcrc", "g1")
-    raise
+except ImportError as error:  # whoever has the extra from before it was part of it
+    raise StationError("a G1's wire needs fastcrc, which is not installed; pip install 'teleop-station[g1]'") from error
 
 SLOTS = 35
 """Motors in a message; a robot has fewer."""
