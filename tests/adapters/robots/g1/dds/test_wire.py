@@ -14,9 +14,12 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
-from adapters.robots.g1.dds import messages, types, words
+from adapters.robots.g1.dds import messages, rows, types, words
 from adapters.robots.g1.dds.network import Network, raw
 from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.g1.joints import G1_29
+from station.contract import names_of
+from station.description import JOINT
 from station.errors import ConfigError
 from tests.adapters.robots.g1.dds import far
 from tests.dds_domains import domain
@@ -128,6 +131,23 @@ def test_a_record_is_the_message_that_cyclone_would_write():
     sent = messages.command(command.serialize())
     assert sent["motors"]["kd"][0].tolist() == [motor.kd for motor in command.motor_cmd]
     assert messages.modes(sent, 35).tolist() == [motor.mode for motor in command.motor_cmd]
+
+
+def test_a_row_has_what_the_message_says_under_its_name():
+    state = _random_object(types.LowState, random.Random(20))
+    (row,) = rows.of(messages.states([state.serialize()])).tolist()
+    names = [name.replace(JOINT, joint) for name in names_of(rows.SAMPLES)
+             for joint in (G1_29 if JOINT in name else ("",))]  # fmt: skip
+    told = dict(zip(names, row, strict=True))
+    for joint, motor in zip(G1_29, state.motor_state, strict=False):
+        assert (told[f"{joint}_pos"], told[f"{joint}_torque"]) == (motor.q, motor.tau_est)
+        assert (told[f"{joint}_vel"], told[f"{joint}_acc"]) == (motor.dq, motor.ddq)
+        assert [told[f"{joint}_casing"], told[f"{joint}_winding"]] == motor.temperature
+        assert (told[f"{joint}_voltage"], told[f"{joint}_error"]) == (motor.vol, motor.motorstate)
+    imu = state.imu_state
+    assert row[rows.INERTIAL] == [*imu.quaternion, *imu.gyroscope, *imu.accelerometer]
+    assert (told["tick"], told["mode_machine"], told["imu_temperature"]) == (12345, 5, imu.temperature)
+    assert told["remote_buttons"] == 2 + 3 * 256
 
 
 def test_what_a_battery_says_is_what_cyclone_would_write():
