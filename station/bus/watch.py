@@ -35,7 +35,7 @@ from station.errors import BusError
 log = logging.getLogger(__name__)
 
 Read = tuple[bytes | None, stamp.Stamp | None]  # what a key holds, and its stamp
-OnChange = Callable[[Collection[str]], None]
+OnChange = Callable[[Collection[str]], None]  # called with the keys that were read anew
 
 _RETRY_S = 0.05
 _SHORT_S = 1.0  # a connection that lived no longer is not followed by the next one at once

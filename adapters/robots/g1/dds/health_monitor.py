@@ -70,7 +70,7 @@ class HealthMonitor:
                 self._counted_s = now_s
                 self._came.append((now_s, len(new), max(ticks[-1] - self._tick, 0)))
             self._tick = ticks[-1]
-            if records["remote"].tobytes().strip(b"\0"):  # NumPy's `any` takes twenty times as long: they are apart
+            if records["remote"].tobytes().strip(b"\0"):  # in a loop that slept, `any` takes 28 us, and this 6
                 self._remote_s = now_s
         while len(self._came) > 1 and now_s - self._came[1][0] >= _OVER_S:  # the first ends what came before
             self._came.popleft()

@@ -63,7 +63,7 @@ CMD = np.dtype({
 })  # fmt: skip
 """A LowCmd as it is on the wire: torque = tau + kp (q - q_measured) + kd (dq - dq_measured)."""
 
-_BATTERY = struct.Struct("<88xI8xiBB12h38x")
+_BATTERY = struct.Struct("<88xI8xiBB12h38x")  # a BmsState: voltage, current, charge, health, temperatures
 _HEADER = (0, 1, 0, 0)  # CDR of version 1, little endian
 
 
@@ -74,8 +74,10 @@ def states(messages: Sequence[bytes]) -> NDArray[Any]:
 
 
 def battery(message: bytes) -> tuple[float, float, float, float, float] | None:
-    """Return of a BmsState charge and health [%], the pack's voltage [V], current [A], highest temperature [°C]; None
-    for one of another length or byte order. By `struct`: of five numbers NumPy takes ten times as long."""
+    """Return charge [%], health [%], voltage of the pack [V], current [A] and highest temperature [°C] of a BmsState.
+
+    None for a message of another length or byte order. By `struct`: for five numbers NumPy takes eight times as long.
+    """
     if len(message) != _BATTERY.size or message[:2] != b"\0\1":
         return None
     millivolts, milliamperes, charge, health, *temperatures = _BATTERY.unpack(message)
@@ -139,8 +141,8 @@ def is_intact(message: bytes) -> bool:
 def crc32_of_words(data: bytes) -> int:
     """Return the CRC-32 that Unitree makes of little-endian words, most significant bit first.
 
-    Polynomial 0x04C11DB7, from 0xFFFFFFFF, neither reflected nor inverted at the end: CRC-32/MPEG-2 of the words' bytes
-    in the order of the bits.
+    Polynomial 0x04C11DB7, from 0xFFFFFFFF, neither reflected nor inverted at the end: CRC-32/MPEG-2, of each word its
+    most significant byte first.
     """
     words = array("I", data)
     words.byteswap()
