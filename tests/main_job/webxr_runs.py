@@ -132,6 +132,11 @@ def drive(worn: Worn, seconds: float) -> Floats:
         page.squeeze("a-button", value=0.0)
         worn.station.wait_until(lambda: worn.gate(ROBOT) == "tracking")
         hands, palms = hands_and_palms(worn)
+        for _ in range(30):  # on a busy machine the arms are still on their way there
+            page.tab.wait_for_timeout(100)
+            (hands, palms), before = hands_and_palms(worn), palms
+            if np.abs(palms - before).max() < 0.002:
+                break
         page.do(SWING)
         wrong, until_s = [], time.monotonic() + seconds
         while time.monotonic() < until_s:
