@@ -53,6 +53,7 @@ def test_after_a_cut_no_old_command_of_another_machine_is_followed(site: Site) -
         wait_until(site.knows_clock)
         station.record.start("cut")
         wait_until(lambda: site.seen()["gate"] == "tracking")
+        time.sleep(2.0)  # of a walk to judge
         for _ in range(MOST_CUTS):  # of a hundred old commands in 50 ms the robot looks at two or three
             site.link.pull()
             time.sleep(CUT_S)

@@ -34,6 +34,8 @@ OWN_ERROR_S = 0.001
 """Of the clock of the robot's machine, on which the bus runs."""
 LIMIT_S = 0.25
 """An older command moves nothing."""
+ASKED_WITHIN_S = 2.0
+"""So long after a statement of a clock all who go by it have asked for it, or a later one: twice the period."""
 WRITTEN, OBSERVED = TIMING_STAGES.index("command_written"), TIMING_STAGES.index("observed")
 
 
@@ -159,9 +161,12 @@ def judge(folder: Path) -> Judged:
     first = int(np.argmax(is_known))  # before it is the pre-roll, in which the clock was not known yet
     assert is_known[first:].all()
     truth_s = np.array([truly_s.get(number, np.nan) for number in numbers])
-    judged = is_known & np.isfinite(truth_s)  # what was written before the pre-roll is in no recording
     said = [decode_statement(message.data, BOOT) for message in reader.messages([keys.clock(BOOT)])]
     assert len(said) >= 3, "every second, in the recording"
+    assert said[0] is not None
+    # Until then a clock may be read by an earlier statement, which is in no recording, nor is how wrong it may be.
+    since_s = said[0].mono_ns * 1e-9 - AHEAD_S[BOOT] + ASKED_WITHIN_S
+    judged = is_known & np.isfinite(truth_s) & (used_s >= since_s)  # what was written before the pre-roll is in none
     bound_s = max(statement.error_ns for statement in said if statement is not None) * 1e-9 + OWN_ERROR_S
     off_s = np.abs(written_s - truth_s)[judged]
     assert off_s.max() <= bound_s, "as the robot's machine took it"
@@ -173,15 +178,18 @@ def judge(folder: Path) -> Judged:
     assert follows.sum() > 50
     oldest_s = (used_s - truth_s)[follows].max()
     assert oldest_s <= LIMIT_S + bound_s
-    _expect_written_before_arrived(reader, bound_s)
+    _expect_written_before_arrived(reader, bound_s, since_s)
     events = [event.value for event in open_episode(folder).events() if isinstance(event.value, dict)]
     told = sum(event["detail"].get("lost_writes", 0) for event in events if event["source"].startswith("motion"))
     lost = max(truly_s) - min(truly_s) + 1 - len(truly_s)
     return Judged(float(off_s.max()), float(oldest_s), lost, told)
 
 
-def _expect_written_before_arrived(reader: EpisodeReader, bound_s: float) -> None:
-    """Expect that what the file says of when another machine wrote is on the episode's clock, to within a bound [s]."""
+def _expect_written_before_arrived(reader: EpisodeReader, bound_s: float, since_s: float) -> None:
+    """Expect that what the file says of when another machine wrote is on the episode's clock, to within a bound [s].
+
+    Only of what was written since an instant of the robot's clock [s].
+    """
     assert reader.anchor is not None
     anchor_ns = reader.anchor.mono_ns - _ahead_ns(reader.anchor.boot)  # on the robot's clock
     judged = 0
@@ -190,6 +198,8 @@ def _expect_written_before_arrived(reader: EpisodeReader, bound_s: float) -> Non
         if mark is None or stamp.boot_of(mark.source) == reader.anchor.boot or message.publish_ns == message.log_ns:
             continue
         mono_ns = mark.mono_ns - _ahead_ns(stamp.boot_of(mark.source))
+        if mono_ns < since_s * 1e9:
+            continue
         off_s = (message.publish_ns - reader.anchor.wall_ns - (mono_ns - anchor_ns)) * 1e-9
         assert abs(off_s) <= bound_s + OWN_ERROR_S
         judged += 1
