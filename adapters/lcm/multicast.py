@@ -32,7 +32,9 @@ _LARGEST = 65535
 _BUFFER_BYTES = 4 << 20  # for the fragments of a long message, which come at once; the kernel may grant less
 _MOST_READ = 200  # datagrams of one look: whoever sends faster does not keep a server from its other work
 _IP_MULTICAST_ALL = 49  # linux/in.h
-_SO_TIMESTAMPNS = 35  # asm-generic/socket.h
+_SO_TIMESTAMPNS, _SO_TIMESTAMPING = 35, 37  # asm-generic/socket.h
+_OF_ARRIVALS = 1 << 3 | 1 << 4  # linux/net_tstamp.h: by software, when they come
+_STAMPS_WITHIN_S = 1.0
 _TIMESPEC = struct.Struct("@ll")
 
 
@@ -92,6 +94,7 @@ class Multicast:
                 if sys.platform == "linux":
                     self._heard.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # no other interface's
                     self._heard.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+                    _until_stamped(clock)
                 self._heard.bind((group, port))
                 member = socket.inet_aton(group) + here
                 self._heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
@@ -153,6 +156,25 @@ class Multicast:
                 seconds, nanoseconds = map(int, _TIMESPEC.unpack(data))
                 return now_ns - max(0, self._clock.wall_ns() - (seconds * 1_000_000_000 + nanoseconds))
         return now_ns
+
+
+def _until_stamped(clock: Clock) -> None:
+    """Wait until the kernel notes when datagrams come, or for `_STAMPS_WITHIN_S`.
+
+    It begins some time after it was asked to, on a busy machine tens of milliseconds, and says of what came before that
+    it came when it was read: an old command would count as new.
+    """
+    end_s = clock.monotonic_s() + _STAMPS_WITHIN_S
+    with _udp() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _OF_ARRIVALS)  # which leaves out what is not known
+        probe.bind((LOOPBACK, 0))
+        while clock.monotonic_s() < end_s:
+            probe.sendto(b"", probe.getsockname())
+            select.select([probe], [], [], _STAMPS_WITHIN_S)
+            with contextlib.suppress(BlockingIOError):
+                if probe.recvmsg(1, socket.CMSG_SPACE(3 * _TIMESPEC.size))[1]:
+                    return
+            clock.sleep(0.001)
 
 
 def _udp() -> socket.socket:
