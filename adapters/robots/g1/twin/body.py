@@ -19,14 +19,15 @@ from station.rotations import multiply, roll_pitch_yaw, rotate_inverse, tilt
 
 STEP_S = 0.001
 JOINTS = len(G1.joints)
-FALLEN_M = 0.4
-"""A pelvis below it has fallen [m]."""
+FALLEN_M = 0.35
+"""A pelvis below it has fallen [m]: motions squat down to 0.4."""
 
 _HUNG_M = 0.12  # feet above the ground
 _ROPE_N_PER_M, _ROPE_N_S_PER_M = 8000.0, 800.0  # as stiff as a strap: it gives 4 cm under the robot's weight
 _STEADIES_N_S_PER_M = 60.0  # somebody has a hand on the robot that hangs: it swings no more after seconds
 _ROPE_MOVES_M_S = 0.1  # as fast as a hand winch
-_ROPE_FROM_STANDING_M = {"hung": -_HUNG_M, "down": -0.02, "slack": 0.15}
+# A slack one leaves room for the deepest squat: one of 0.15 m carried half the robot in it, and hid what its motors do.
+_ROPE_FROM_STANDING_M = {"hung": -_HUNG_M, "down": -0.02, "slack": 0.47}
 
 # A motor warms by the square of its torque and cools towards the room: 20 minutes of half its torque bring it to 60 °C.
 _ROOM_C, _COOLS_S, _WARMS_C = 25.0, 600.0, 140.0
