@@ -26,7 +26,7 @@ OF_POLICY = {
     ),
 }  # fmt: skip
 WORSE = 1.10
-RUNS = 2
+RUNS = 4
 
 
 @pytest.fixture
