@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import logging
 import select
 import socket
 import struct
@@ -19,6 +20,8 @@ from typing import NamedTuple
 from adapters.lcm.packet import Assembler, BadPacket, datagrams
 from station.clock import SYSTEM, Clock
 from station.errors import StationError
+
+log = logging.getLogger(__name__)
 
 GROUP, PORT = "239.255.76.67", 7667
 """Where LCM's programs meet unless they say otherwise."""
@@ -175,6 +178,7 @@ def _until_stamped(clock: Clock) -> None:
                 if probe.recvmsg(1, socket.CMSG_SPACE(3 * _TIMESPEC.size))[1]:
                     return
             clock.sleep(0.001)
+    log.warning("lcm: this kernel does not say when a datagram came; what waited while we stood still counts as new")
 
 
 def _udp() -> socket.socket:

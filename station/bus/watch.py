@@ -248,7 +248,11 @@ class Watch:
             return None
 
     def _read_unasked(self, reader: Connection) -> None:
-        """Read everything unasked, before a question is put on the other line; expect that writes are to be told."""
+        """Read all keys, though no write was told of, before the probe goes out on the other line.
+
+        Raises:
+            ConnectionLost: the server no longer tells of writes.
+        """
         self._cut_ns = self._newest_ns
         reader.set_timeout(self._noticed_s - self._probe_s)
         flags, values = reader.send_packed(self._look_request, 2)
@@ -260,7 +264,11 @@ class Watch:
         self._cut_ns = None
 
     def _expect_told(self) -> None:
-        """Expect that all was told which `_read_unasked` has read, once the question after it is answered."""
+        """Check, once the probe is answered, that each change which `_read_unasked` found was told of.
+
+        Raises:
+            ConnectionLost: one was not.
+        """
         if key := self._told.untold():
             self._cut_ns = self._hearing.span.until_ns
             raise ConnectionLost(

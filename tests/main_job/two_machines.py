@@ -1,5 +1,7 @@
-"""A robot on one machine, who commands it on another, a recorder on either or on a third, and a bad line between them;
-and a judge of what was recorded."""
+"""A station on two or three machines with a bad line between them, and a check of what it recorded.
+
+The robot is on one machine and its commander on another; the recorder is on either, or on a third.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ OWN_ERROR_S = 0.001
 LIMIT_S = 0.25
 """An older command moves nothing."""
 ASKED_WITHIN_S = 2.0
-"""So long after a statement of a clock all who go by it have asked for it, or a later one: twice the period."""
+"""So long after a clock's statement every reader goes by it, or by a newer one: readers ask every second."""
 WRITTEN, OBSERVED = TIMING_STAGES.index("command_written"), TIMING_STAGES.index("observed")
 
 

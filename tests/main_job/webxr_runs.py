@@ -78,7 +78,7 @@ class Worn:
         return self.station.text.count(event)
 
     def engage(self, press: Callable[[], object], lift: Callable[[], object]) -> None:
-        """Press until that drives: what is pressed while a busy machine holds the page up counts for nothing."""
+        """Press again and again until the operator is engaged: the page of a busy machine may miss a press."""
         begun = self.told("operator-engaged")
         for _ in range(20):
             press()

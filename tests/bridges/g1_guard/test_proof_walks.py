@@ -11,6 +11,10 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.policies.twist2 import Twist2Policy
+from station.bus import keys
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
+from station.life.server import decode_health
 from tests.bridges.g1_guard.bench import guarded
 from tests.cli.running import Home, new_home
 from tests.figures import Figures
@@ -47,6 +51,15 @@ def _recorded(home: Home, runbook: str, task: str, *settings: str) -> float:
     return float(steps["mean_joint_error_rad"])
 
 
+def _falls_of_twin(folder: Path) -> int:
+    """Return how often the twin fell, as it knows itself: who hangs in the rope does not lean."""
+    newest = None
+    for message in EpisodeReader(signals_file(folder)).messages([keys.server("twin")]):
+        newest = decode_health(message.data) or newest
+    assert newest is not None
+    return int(newest.detail["falls"])
+
+
 @pytest.mark.parametrize("motion", SHIPPED, ids=lambda motion: Path(motion).stem[-3:])
 @pytest.mark.parametrize("policy", OF_POLICY)
 def test_a_walk_over_the_wire_is_as_good_as_in_simulation(
@@ -62,6 +75,7 @@ def test_a_walk_over_the_wire_is_as_good_as_in_simulation(
             errors["real"].append(
                 _recorded(home, "g1-twin-motion", f"real-{number}", plays, *options, *OF_POLICY[policy])
             )  # fmt: skip
+        assert _falls_of_twin(home.episode(f"real-{number}")) == 0
     ratio = mean(errors["real"]) / mean(errors["simulated"])
     proof.figure(
         f"G1 over the wire, {policy} on walk {Path(motion).stem[-3:]}: mean joint error, of the simulation's",

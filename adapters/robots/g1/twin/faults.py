@@ -23,7 +23,7 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Attributes:
         gantry: ``hung``, feet above the ground; ``down``, on its feet, and the rope carries part of it; ``slack``, the
-            rope catches it when it falls; ``off``.
+            rope leaves it 0.47 m to squat, and catches it when it falls; ``off``.
         controller: What the robot's own controller does until it is released: ``holds``, commands are ignored;
             ``fights``, it writes damping between them.
         without_commands: What the firmware does when they cease, which nobody knows: ``hold`` the last for ever,
