@@ -7,6 +7,7 @@ import gc
 import importlib.util
 import itertools
 import os
+import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
@@ -52,6 +53,17 @@ def _keep_off_the_disk() -> None:
         os.environ["TMPDIR"] = tempfile.tempdir = str(shared)
 
 
+def _own_temporary_folder(config: pytest.Config) -> None:
+    """Give this run a folder for temporary files, removed at its end: what one run left has failed tests of another.
+
+    Folders of pytest (`tmp_path`) stay where they were, for whoever wants to see why a test failed.
+    """
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
+    folder = tempfile.mkdtemp(prefix="tests-")
+    os.environ["TMPDIR"] = tempfile.tempdir = folder
+    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Obey Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -62,6 +74,8 @@ def pytest_configure(config: pytest.Config) -> None:
     is_proof = config.getoption("-m") == "proof"
     if not is_proof:
         _keep_off_the_disk()
+    if not hasattr(config, "workerinput"):  # a worker of pytest-xdist has that of its run
+        _own_temporary_folder(config)
     is_new = bool(config.getoption("--new-examples")) or is_proof
     examples.draw_new(is_new)
     settings.register_profile(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import fcntl
 import os
 import random
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 _OURS = range(1, 200)
+_LOCKS = Path("/tmp")  # of all runs of the tests, each of which has a folder of its own for temporary files
 
 
 @contextmanager
@@ -20,7 +20,7 @@ def domain(which: int | None = None) -> Iterator[int]:
     descriptors = []
     try:
         for number in candidates:
-            path = Path(tempfile.gettempdir()) / f"station-test-dds-{os.getuid()}-{number}"
+            path = _LOCKS / f"station-test-dds-{os.getuid()}-{number}"
             descriptors.append(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
             try:
                 fcntl.flock(descriptors[-1], fcntl.LOCK_EX | (fcntl.LOCK_NB if which is None else 0))

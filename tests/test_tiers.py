@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from tests.tiers import NotInItsTier
+from tests.tiers import ROOT, NotInItsTier
 
 COMMAND = [sys.executable, "-I", "-S", "-c", ""]
 
@@ -23,3 +25,15 @@ def test_a_library_may_start_one_when_it_is_imported(tmp_path: Path, monkeypatch
     (tmp_path / "asks_for_a_version.py").write_text(f"import subprocess\nsubprocess.run({COMMAND!r}, check=True)\n")
     monkeypatch.syspath_prepend(tmp_path)
     importlib.import_module("asks_for_a_version")
+
+
+def test_a_run_leaves_no_temporary_files_to_the_next_one(processes: None) -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "frozen"]
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # a path that is short enough for sockets below it
+        environment = os.environ | {"TMPDIR": folder, "PYTEST_DEBUG_TEMPROOT": folder}
+        done = subprocess.run(
+            [*command, "tests/life/test_stop_line.py"],
+            cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert [path.name.partition("-")[0] for path in Path(folder).iterdir()] == ["pytest"]
