@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -27,21 +29,32 @@ class Standing:
     def __init__(self, folder: Path) -> None:
         self.terminal = Terminal(folder)
         self.folder = folder
-        self._bus_process = self.terminal.start("bus", "start")
         self.address = BusAddress(socket=f"{self.terminal.environment['XDG_RUNTIME_DIR']}/station/bus.sock")
-        wait_until(lambda: bus_answers(self.address))
-        self.bus_pid = pid_of(self.address)
-        self._station = self.terminal.start("serve", "g1")
-        self.bus = Bus(self.address, name="test", timeout_s=5.0)
-        self.console = self.new_console()
-        self.wait_for_gate("waiting")
+        with ExitStack() as ends:  # whatever fails on the way, nothing of it stays
+            self._ends = ends
+            self._start("bus", "start")
+            wait_until(lambda: bus_answers(self.address))
+            self.bus_pid = pid_of(self.address)
+            self._station = self._start("serve", "g1")
+            self.bus = ends.enter_context(Bus(self.address, name="test", timeout_s=5.0))
+            self.console = self.new_console()
+            self.wait_for_gate("waiting")
+            self._ends = ends.pop_all()
+
+    def _start(self, *command: str) -> subprocess.Popen[str]:
+        process = self.terminal.start(*command)
+        self._ends.callback(process.communicate, timeout=60)
+        self._ends.callback(process.send_signal, signal.SIGINT)
+        return process
 
     def new_console(self, *more: str, port: int = 0) -> ConsoleProcess:
-        """Start a console."""
+        """Start a console, which is killed at the end if it has not been before."""
         with pytest.MonkeyPatch.context() as patch:
             for name, value in self.terminal.environment.items():
                 patch.setenv(name, value)
-            return ConsoleProcess(self.address, self.folder, *more, port=port)
+            console = ConsoleProcess(self.address, self.folder, *more, port=port)
+        self._ends.callback(console.kill)
+        return console
 
     def gate(self) -> str:
         """What the robot's gate says."""
@@ -64,8 +77,4 @@ class Standing:
 
     def close(self) -> None:
         """End it all."""
-        self.console.kill()
-        self.bus.close()
-        for process in (self._station, self._bus_process):
-            process.send_signal(signal.SIGINT)
-            process.communicate(timeout=60)
+        self._ends.close()

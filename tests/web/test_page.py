@@ -101,12 +101,9 @@ def test_c4_c6_a_press_outlives_a_console_that_was_killed_and_a_link_that_is_voi
     console.kill()
     page.press_stop()
     page.until("stationPage.stop.kind === 'not-taken'")
-    again = g1.new_console("--name", "third", "--new-links", port=port)
-    try:
-        g1.wait_for_gate("stopped")
-        page.until("stationPage.stop.is_taken")
-    finally:
-        again.kill()
+    g1.new_console("--name", "third", "--new-links", port=port)
+    g1.wait_for_gate("stopped")
+    page.until("stationPage.stop.is_taken")
 
 
 def test_c7_a_page_says_that_it_hears_nothing_and_then_equals_a_fresh_one(g1: Standing, open_page: Open) -> None:
@@ -122,6 +119,27 @@ def test_c7_a_page_says_that_it_hears_nothing_and_then_equals_a_fresh_one(g1: St
     assert page.read(shown) == fresh.read(shown)
     servers = "stationPage.state.servers.map(s => s.name).sort().join()"
     assert page.read(servers) == fresh.read(servers)
+
+
+def test_what_came_before_a_panel_was_there_is_shown_though_the_line_was_silent_meanwhile(
+    g1: Standing, open_page: Open
+) -> None:
+    page = open_page(_operator(g1.console)).ready()
+    count = "document.querySelector('#episodes-count').textContent"
+    shown = page.until(count)
+    held: list[Any] = []
+    came: list[str] = []
+    page.context.route("**/page/episodes.js", lambda route: held.append(route))  # noqa: PLW0108  playwright marks it
+    page.tab.on("websocket", lambda line: line.on("framereceived", lambda data: came.append(str(data)[:40])))
+    page.tab.reload(wait_until="commit")
+    wait_until(lambda: page.read("true") and any('"episodes"' in words for words in came))
+    g1.console.freeze()
+    page.until("window.stationPage && !stationPage.link.is_up")
+    g1.console.thaw()
+    page.until("stationPage.link.is_up")
+    assert page.read(count) == "", "there is a panel already"
+    held.pop().continue_()
+    page.until(f"{count} === {shown!r}")
 
 
 def test_c10_hostile_words_run_nothing(start_console: StartConsole, bus: Bus, open_page: Open) -> None:

@@ -223,14 +223,11 @@ def test_a_player_goes_with_its_page_and_comes_back_with_its_console(g1: Standin
     port = console.port
     console.kill()
     wait_until(lambda: not players(folder))
-    again = g1.new_console("--name", "second", port=port)
-    try:
-        page.until("stationPage.link.is_up && stationPage.playback.is_settled && stationPage.playback.time_s === 3.25")
-        wait_until(lambda: len(players(folder)) == 1)
-        page.close()
-        wait_until(lambda: not players(folder))
-    finally:
-        again.kill()
+    g1.new_console("--name", "second", port=port)
+    page.until("stationPage.link.is_up && stationPage.playback.is_settled && stationPage.playback.time_s === 3.25")
+    wait_until(lambda: len(players(folder)) == 1)
+    page.close()
+    wait_until(lambda: not players(folder))
 
 
 def test_what_cannot_be_played_is_said_in_a_line(g1: Standing, open_page: Open, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ export class Link extends EventTarget {
     this.pings = new Map();
     /** @type {Map<string, (answer: {ok: boolean, text: string}) => void>} */
     this.open = new Map();
-    /** What came since the link was up, for panels that are made later: the newest of each kind, and the events. @type {Map<string, any[]>} */
+    /** What came by this socket, for panels that are made later: the newest of each kind, and the events. @type {Map<string, any[]>} */
     this.came = new Map();
     this.connect();
     setInterval(() => this.beat(), PING_MS);
@@ -51,6 +51,7 @@ export class Link extends EventTarget {
     let socket;
     try { socket = new WebSocket(socketUrl("/ws/news")); } catch { setTimeout(() => this.connect(), LONGEST_WAIT_MS); return; }
     this.socket = socket;
+    this.came.clear();
     socket.onmessage = (message) => { if (this.socket === socket) this.hear(message.data); };
     socket.onclose = (closed) => {
       if (closed.code === SIGNED_OUT) this.dispatchEvent(new Event("signed-out"));
@@ -136,7 +137,7 @@ export class Link extends EventTarget {
   setUp(is_up) {
     if (this.is_up === is_up) return;
     this.is_up = is_up;
-    if (is_up) { this.reconnects += 1; this.came.clear(); }
+    if (is_up) this.reconnects += 1;
     this.dispatchEvent(new Event("link"));
   }
 
