@@ -73,7 +73,9 @@ def _read(path: Path | None, recipe: type[Recipe]) -> Recipe:
         return recipe()
     try:
         return msgspec.yaml.decode(path.read_bytes(), type=recipe)
-    except (OSError, msgspec.DecodeError) as error:
+    except OSError as error:
+        raise BadFile(f"{path}: {error.strerror}; expected a recipe, a YAML file") from error
+    except msgspec.DecodeError as error:
         raise BadFile(f"{path}: not a recipe: {error}") from error
 
 

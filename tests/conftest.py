@@ -54,14 +54,16 @@ def _keep_off_the_disk() -> None:
 
 
 def _own_temporary_folder(config: pytest.Config) -> None:
-    """Give this run a folder for temporary files, removed at its end: what one run left has failed tests of another.
+    """Give this run its own folder for temporary files: files that one run left have failed tests of a later one.
 
-    Folders of pytest (`tmp_path`) stay where they were, for whoever wants to see why a test failed.
+    It is removed at the end of the run. The folders of pytest (`tmp_path`) stay, to see why a test failed.
     """
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
     folder = tempfile.mkdtemp(prefix="tests-")
     os.environ["TMPDIR"] = tempfile.tempdir = folder
-    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    config.add_cleanup(
+        lambda: shutil.rmtree(folder, ignore_errors=True)
+    )  # a child that ends now may remove its own files
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -74,7 +76,7 @@ def pytest_configure(config: pytest.Config) -> None:
     is_proof = config.getoption("-m") == "proof"
     if not is_proof:
         _keep_off_the_disk()
-    if not hasattr(config, "workerinput"):  # a worker of pytest-xdist has that of its run
+    if not hasattr(config, "workerinput"):  # a worker of pytest-xdist uses the folder of its run
         _own_temporary_folder(config)
     is_new = bool(config.getoption("--new-examples")) or is_proof
     examples.draw_new(is_new)
@@ -216,7 +218,7 @@ def _leaves_nothing() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def real_time() -> None:
-    """A user who may ask for SCHED_FIFO: what lives by a wire at 500 Hz has to be punctual, whatever else runs."""
+    """Require a user who may ask for SCHED_FIFO: a robot twin has to be punctual at 500 Hz, whatever else runs."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
@@ -234,7 +236,7 @@ def processes() -> None:
 
 @pytest.fixture(scope="session")
 def network_links(processes: None) -> None:
-    """A user who may lay cables between computers that are network namespaces (`tests.network_link`)."""
+    """Require a user who may connect network namespaces, each of which stands for a computer (`tests.network_link`)."""
     if why_not := link.why_not():
         if os.environ.get("CI"):
             pytest.fail(why_not)

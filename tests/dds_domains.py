@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _OURS = range(1, 200)
-_LOCKS = Path("/tmp")  # of all runs of the tests, each of which has a folder of its own for temporary files
+_LOCKS = Path("/tmp")  # shared by all runs of the tests; their TMPDIR is not
 
 
 @contextmanager

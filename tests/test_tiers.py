@@ -1,4 +1,4 @@
-"""What a test uses decides its tier: one of the unit tier that starts a process fails."""
+"""What a test uses decides its tier, a unit test that starts a process fails, and a run leaves no temporary files."""
 
 from __future__ import annotations
 

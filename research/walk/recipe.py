@@ -1,4 +1,4 @@
-"""What a policy that follows velocities is trained with; ``go2.yaml`` and ``g1.yaml`` are the two that were."""
+"""What a policy that follows velocities is trained with; the YAML files beside it are the runs that were made."""
 
 from __future__ import annotations
 

@@ -135,10 +135,12 @@ def velocities(rng: np.random.Generator, steps: int, lower: Floats, upper: Float
 
 
 def moved(rng: np.random.Generator, steps: int, pose: Floats) -> Floats:
-    """Return positions of arms that swing about a pose, each joint at a rate and by a reach of its own or all alike, or
-    that wander over their ranges, shape (steps, 14) [rad]."""
+    """Return positions of arms that swing about a pose or wander over their ranges, shape (steps, 14) [rad].
+
+    In half of the swings each joint has its own rate and reach; in the others all have the same.
+    """
     if rng.random() < 0.5:
-        rates = 14 if rng.random() < 0.5 else 1  # all at one rate rock a robot that stands, most of all at its own
+        rates = 14 if rng.random() < 0.5 else 1  # arms that all swing at one rate rock the robot hardest
         rate_hz, reach = rng.uniform(0.2, 1.3, rates), rng.uniform(0.0, 0.6, rates)
         phase = 2 * np.pi * (rng.random(14) + rate_hz * np.arange(steps)[:, None] * CONTROL_DT_S)
         lower, upper = twist2.FORMAT.lower[ARMS], twist2.FORMAT.upper[ARMS]

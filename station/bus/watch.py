@@ -50,7 +50,7 @@ _ASKED = b"now"  # tells the answer of `_drain` from that of a probe
 
 
 class _Changes(threading.Condition):
-    """Wakes who waits for a value, and counts how often any key got another."""
+    """Wakes the threads that wait for a value, and counts the changes of all keys."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -248,7 +248,7 @@ class Watch:
             return None
 
     def _read_unasked(self, reader: Connection) -> None:
-        """Read all keys, though no write was told of, before the probe goes out on the other line.
+        """Read all keys before a probe is sent on the other line, even if no write was reported.
 
         Raises:
             ConnectionLost: the server no longer tells of writes.
@@ -264,10 +264,10 @@ class Watch:
         self._cut_ns = None
 
     def _expect_told(self) -> None:
-        """Check, once the probe is answered, that each change which `_read_unasked` found was told of.
+        """After the answer to the probe, check that the server reported each change that `_read_unasked` found.
 
         Raises:
-            ConnectionLost: one was not.
+            ConnectionLost: the server did not report one.
         """
         if key := self._told.untold():
             self._cut_ns = self._hearing.span.until_ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -74,7 +75,7 @@ class Worn:
         return str(codec.parse_facts(self.bus.get(keys.command_gate(robot))).get("state", ""))
 
     def told(self, event: str) -> int:
-        """How often the station told of an event."""
+        """Return how often the output of the station names an event."""
         return self.station.text.count(event)
 
     def engage(self, press: Callable[[], object], lift: Callable[[], object]) -> None:
@@ -82,13 +83,11 @@ class Worn:
         begun = self.told("operator-engaged")
         for _ in range(20):
             press()
-            until_s = time.monotonic() + _ENGAGES_S
-            while time.monotonic() < until_s:
-                if self.told("operator-engaged") > begun:
-                    return
-                time.sleep(0.02)
+            with contextlib.suppress(AssertionError):
+                wait_until(lambda: self.told("operator-engaged") > begun, _ENGAGES_S)
+                return
             lift()
-            time.sleep(_AT_REST_S)
+            time.sleep(_AT_REST_S)  # an operator's pause between two presses
         raise AssertionError(f"never engaged:\n{self.station.text}")
 
     def source(self, key: str) -> dict[str, Any]:

@@ -231,3 +231,9 @@ def test_a_recipe_that_cannot_be_is_refused_in_a_line(
     assert main(["--out", str(tmp_path), "--recipe", str(tmp_path / "bad.yaml")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+def test_a_recipe_that_is_not_there_is_refused_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "none.yaml"
+    assert main(["--out", str(tmp_path), "--recipe", str(path)]) == 2
+    assert capsys.readouterr().err == f"error: {path}: No such file or directory; expected a recipe, a YAML file\n"

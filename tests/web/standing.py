@@ -30,7 +30,7 @@ class Standing:
         self.terminal = Terminal(folder)
         self.folder = folder
         self.address = BusAddress(socket=f"{self.terminal.environment['XDG_RUNTIME_DIR']}/station/bus.sock")
-        with ExitStack() as ends:  # whatever fails on the way, nothing of it stays
+        with ExitStack() as ends:  # if one of these fails, those before it are ended
             self._ends = ends
             self._start("bus", "start")
             wait_until(lambda: bus_answers(self.address))

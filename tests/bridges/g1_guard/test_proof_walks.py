@@ -52,7 +52,10 @@ def _recorded(home: Home, runbook: str, task: str, *settings: str) -> float:
 
 
 def _falls_of_twin(folder: Path) -> int:
-    """Return how often the twin fell, as it knows itself: who hangs in the rope does not lean."""
+    """Return how many falls the twin counted, by the height of its pelvis.
+
+    `station check` sees only how far a robot leans; one that hangs in its rope stays upright.
+    """
     newest = None
     for message in EpisodeReader(signals_file(folder)).messages([keys.server("twin")]):
         newest = decode_health(message.data) or newest

@@ -84,7 +84,7 @@ def test_ten_minutes_of_random_velocities_in_twenty_seeds_without_a_fall(policy:
     ("policy", "latency_steps", "most"), [("go2-walk", 1, 0), ("g1-walk", 1, 0), ("g1-walk", 2, 2)]
 )
 def test_it_walks_with_motors_that_are_late(policy: str, latency_steps: int, most: int, proof: Figures) -> None:
-    """A network that was trained for longer with motors 25 ms late fell every second where they were 40 ms late."""
+    """A network that was trained on with targets 25 ms late at most fell once a second when they were 40 ms late."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         runs = [pool.submit(wander, policy, seed, MINUTES, latency_steps=latency_steps) for seed in range(4)]
         falls = [(seed, went.fell_s) for seed, run in enumerate(runs) if (went := run.result()).fell_s >= 0.0]
