@@ -1,7 +1,7 @@
 """Pictures, poses and curves for many viewers: of each feed the newest, and one on its way to each viewer.
 
 A viewer says when it has used a frame; only then the next one goes out to it, the newest there is. So a slow line gets
-fewer frames and no old ones, and delays nobody. Everything here runs in the event loop.
+fewer frames and no old ones, and delays nobody. All runs in the event loop; `Feeds.wanted` may be read in any thread.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Feeds:
     def __init__(self) -> None:
         self._newest: dict[str, tuple[int, Frame]] = {}
         self._count = 0
-        self._viewers: set[Viewer] = set()
+        self._viewers: frozenset[Viewer] = frozenset()  # replaced, never changed: `wanted` goes through it
 
     @property
     def wanted(self) -> frozenset[str]:
@@ -59,12 +59,12 @@ class Feeds:
     def join(self) -> Viewer:
         """Return a new viewer, that follows nothing yet."""
         viewer = Viewer(self)
-        self._viewers.add(viewer)
+        self._viewers |= {viewer}
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
         """Forget a viewer."""
-        self._viewers.discard(viewer)
+        self._viewers -= {viewer}
 
 
 class Viewer:

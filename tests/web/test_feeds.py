@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,6 +33,21 @@ def test_a_slow_viewer_gets_the_newest_and_holds_up_nobody() -> None:
         assert _next(slow) == (("a", b"0") if number == 0 else None)
     slow.got("a")
     assert _next(slow) == ("a", b"4")
+
+
+def test_pages_may_come_and_go_while_another_thread_asks_what_is_wanted() -> None:
+    """A console died of it: its loop went through the viewers as one joined."""
+    feeds = Feeds()
+
+    class Asked(frozenset[str]):
+        def __iter__(self) -> Iterator[str]:
+            feeds.leave(feeds.join())
+            feeds.join()
+            return super().__iter__()
+
+    for name in ("a", "b"):
+        feeds.join().wanted = Asked({name})
+    assert feeds.wanted == {"a", "b"}
 
 
 def test_a_frame_that_waits_is_sent_once() -> None:
