@@ -48,7 +48,7 @@ class Stops:
     def __init__(self, address: BusAddress, name: str) -> None:
         self._address, self._name = address, name
         self._button: StopButton | None = None
-        self._lock = threading.Lock()
+        self._lock, self._opening = threading.Lock(), threading.Lock()  # a bus that hangs is waited for in the latter
         self._threads = ThreadPoolExecutor(_SIDE_BY_SIDE, "console-stop")
         self._pressed: OrderedDict[str, Future[Said]] = OrderedDict()
 
@@ -93,17 +93,19 @@ class Stops:
             self._button.close()
 
     def _opened(self) -> StopButton:
-        with self._lock:
+        with self._opening:
             if self._button is None:
                 self._button = StopButton(self._address, name=self._name)
             return self._button
 
     def _press(self, reason: str) -> Said:
-        try:
-            button = self._opened()
-        except BusError as error:
-            with contextlib.closing(say_past_bus(self._address, reason)) as call:
-                return _failed(keep_for_the_next_start(self._address, reason, error, call))
+        button = self._button
+        if button is None:
+            with contextlib.closing(say_past_bus(self._address, reason)) as call:  # at once: a bus may hang
+                try:
+                    button = self._opened()
+                except BusError as error:
+                    return _failed(keep_for_the_next_start(self._address, reason, error, call))
         try:
             button.press(reason)
         except BusError as error:
