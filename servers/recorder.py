@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from station.bus import codec, keys
+from station.bus import codec, contracts, keys
 from station.config import to_plain
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
@@ -112,6 +112,7 @@ def main(config: RecorderConfig, life: Life) -> int:
     options = msgspec.structs.replace(options, writer=writer)
     sys.setswitchinterval(_SWITCH_S)
     give_back_large_blocks()
+    contracts.load()  # else the first writes of an episode wait for it
     with Claim(options.data, life.bus) as claim:
         recorder = _Recorder(config, options, life)
         recorder.recording.claim = claim.renew

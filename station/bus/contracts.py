@@ -91,6 +91,11 @@ def contracts() -> tuple[Contract, ...]:
     return (*_of_listed().values(), *_of_station().values())
 
 
+def load() -> None:
+    """Load all that is registered, and NumPy with it: else the first key that is asked for waits for that, 0.1 s."""
+    contract("")
+
+
 @lru_cache(maxsize=_REMEMBERED)
 def description(robot: str) -> RobotDescription | None:
     """Return the description of a robot that is known though no server describes it; None for a stranger."""

@@ -56,11 +56,13 @@ def recorder(bus_server: BusAddress, bus: Bus, tmp_path: Path) -> Iterator[Start
     """Starts recorder processes and waits until each says what it is doing; none outlives the test."""
     children: list[subprocess.Popen[str]] = []
 
-    def start(*, name: str = "recorder", wait: bool = True, **values: Any) -> subprocess.Popen[str]:
+    def start(
+        *, name: str = "recorder", wait: bool = True, is_cold: bool = False, **values: Any
+    ) -> subprocess.Popen[str]:
         settings = {"data": str(tmp_path), "min_free_mb": 0, "preroll_s": 0, **values}
         child = subprocess.Popen(
             [sys.executable, "-c", SERVE, bus_server.url, msgspec.json.encode(settings).decode(), name],
-            stderr=subprocess.PIPE, text=True,
+            stderr=subprocess.PIPE, text=True, env=os.environ | ({"PYTHONHASHSEED": "0"} if is_cold else {}),
         )  # fmt: skip
         children.append(child)
         if wait:
@@ -118,6 +120,23 @@ def test_every_write_is_recorded_once_in_order_and_byte_for_byte(
     process.send_signal(signal.SIGTERM)
     assert process.wait(60) == 0
     assert state(bus) is None
+
+
+def test_no_write_waits_for_a_library_that_is_loaded(recorder: Start, bus: Bus) -> None:
+    process = recorder(is_cold=True)  # as a user's: one that the tests start has NumPy from the beginning
+    loaded = libraries(process.pid)
+    ended = Path(remote.ask(bus, "start", task="walk").path or "")
+    publish(bus, 10)
+    bus.publish({"something_else": b"1", keys.action_joints("arm"): b"[1]"})
+    remote.ask(bus, "stop")
+    assert numbers(ended) == list(range(1, 11))
+    assert libraries(process.pid) - loaded == set()
+
+
+def libraries(pid: int) -> set[str]:
+    """Return the compiled libraries that a process has loaded, as packages like NumPy are made of."""
+    rows = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    return {row.split(maxsplit=5)[5] for row in rows if ".so" in row}
 
 
 def test_a_recorder_killed_in_mid_episode_leaves_what_it_has_flushed(recorder: Start, bus: Bus) -> None:
