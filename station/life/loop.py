@@ -14,7 +14,6 @@ from collections import deque
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from station.clock import SYSTEM, Clock
 
@@ -87,10 +86,17 @@ class Rate:
         wakes = list(self._wakes)
         if len(wakes) < 2:
             return LoopStats(0.0, 0.0, 0.0, self.overruns)
-        lateness_ms = np.array([late for _, late in wakes]) * 1e-6
+        late_ms = sorted(late_ns * 1e-6 for _, late_ns in wakes)
         rate_hz = (len(wakes) - 1) / ((wakes[-1][0] - wakes[0][0]) * 1e-9)
-        p50, p99 = np.percentile(lateness_ms, (50, 99))
-        return LoopStats(float(rate_hz), float(p50), float(p99), self.overruns)
+        return LoopStats(rate_hz, _quantile(late_ms, 0.5), _quantile(late_ms, 0.99), self.overruns)
+
+
+def _quantile(ordered: list[float], share: float) -> float:
+    """As `np.quantile`, which takes 0.2 ms in a loop that slept, and loads `numpy.ma` when it is first called."""
+    place = share * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return ordered[below] + (ordered[above] - ordered[below]) * (place - below)
 
 
 def real_time(priority: int = 50) -> str:

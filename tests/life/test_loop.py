@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from station.clock import SYSTEM
@@ -49,11 +52,26 @@ def test_stats_tell_rate_and_lateness() -> None:
     with VirtualClock(late_ns=2 * MS) as clock:
         rate = Rate(200.0, clock)
         assert rate.stats().rate_hz == 0.0
+        wakes_ns = []
         for _ in range(50):
             rate.wait()
+            wakes_ns.append(clock.monotonic_ns())
         stats = rate.stats()
-    assert 0.0 < stats.jitter_p50_ms < stats.jitter_p99_ms < 2.0
+    late_ms = (np.array(wakes_ns) - wakes_ns[0] - np.arange(50) * rate.period_ns) * 1e-6
+    p50, p99 = np.percentile(late_ms - late_ms.min(), (50, 99))
+    assert 0.0 < p50 < p99 < 2.0
+    assert (stats.jitter_p50_ms, stats.jitter_p99_ms) == pytest.approx((p50, p99))
     assert stats.rate_hz == pytest.approx(200.0, rel=0.01)
+
+
+@pytest.mark.usefixtures("processes")
+def test_no_tick_waits_for_a_library_that_its_statistics_load() -> None:
+    code = (
+        "import sys; from station.life.loop import Rate; import station.protocols; rate = Rate(500.0); rate.wait();"
+        "before = set(sys.modules); rate.wait(); rate.stats(); print(*(set(sys.modules) - before))"
+    )
+    run = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == []
 
 
 def test_what_is_urgent_does_not_wait_for_its_tick(clock: VirtualClock) -> None:

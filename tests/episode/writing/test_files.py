@@ -22,6 +22,8 @@ from station.bus.tap import Write
 from station.contract import Contract
 from station.episode.reading.frames import cameras, frames
 from station.episode.reading.reader import open_episode
+from station.episode.storage import layout
+from station.episode.storage.channels import encoding_of
 from station.episode.storage.manifest import Manifest
 from tests.enrich.read_back import decoded
 from tests.episode.filming import BODY, EXPOSED_NS, HEAD, WRIST, Scene, film
@@ -175,6 +177,14 @@ def test_rerun_shows_the_pictures_with_no_word_from_us(episode: Path, writes: li
         if str(chunk.entity_path) == f"/{HEAD}" and "EncodedImage:blob" in batch.schema.names:
             blobs += [bytes(value[0]) for value in batch.column("EncodedImage:blob").to_pylist()]
     assert blobs == [write.value for write in writes if write.key == HEAD]
+
+
+@pytest.mark.parametrize(
+    ("value", "is_json"),
+    [(b"[1, 2]", True), (b"7", True), (b"7\0\0\0", False), ("[1]".encode("utf-16"), False), (b"\xff", False)],
+)
+def test_what_nothing_describes_is_json_where_it_is_that_in_utf_8(value: bytes, is_json: bool) -> None:
+    assert encoding_of(value) == (layout.JSON if is_json else layout.BYTES)
 
 
 def test_the_manifest_of_a_closed_episode_names_its_cameras(tmp_path: Path) -> None:
