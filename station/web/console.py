@@ -95,12 +95,13 @@ class Console:
 
     def keys(self) -> Told:
         """Return the keys of the bus."""
-        return {"t": "keys", "keys": [] if self._look is None else self._look.keys_table()}
+        look = self._look  # as it is now: it ends with the server, in another thread
+        return {"t": "keys", "keys": [] if look is None else look.keys_table()}
 
     def events(self) -> list[Told]:
         """Return the last events, oldest first."""
-        now_ns = self._clock.wall_ns()
-        return [_event(event, now_ns) | {"is_old": True} for event in (self._look.events if self._look else ())]
+        look, now_ns = self._look, self._clock.wall_ns()
+        return [_event(event, now_ns) | {"is_old": True} for event in (look.events if look else ())]
 
     def episodes(self) -> Told:
         """Return the episodes."""
@@ -108,7 +109,8 @@ class Console:
 
     def scene(self, robot: str) -> Told | None:
         """Return how a robot is drawn; None for one that is not there."""
-        found = None if self._look is None else self._look.robot(robot)
+        look = self._look
+        found = None if look is None else look.robot(robot)
         return None if found is None else found.scene()
 
     async def do(self, ask: Ask, who: str) -> tuple[bool, str]:
