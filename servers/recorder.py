@@ -112,7 +112,7 @@ def main(config: RecorderConfig, life: Life) -> int:
     options = msgspec.structs.replace(options, writer=writer)
     sys.setswitchinterval(_SWITCH_S)
     give_back_large_blocks()
-    contracts.load()  # else the first writes of an episode wait for it
+    contracts.load()  # otherwise the first writes of an episode wait for it
     with Claim(options.data, life.bus) as claim:
         recorder = _Recorder(config, options, life)
         recorder.recording.claim = claim.renew

@@ -92,7 +92,7 @@ def contracts() -> tuple[Contract, ...]:
 
 
 def load() -> None:
-    """Load all that is registered, and NumPy with it: else the first key that is asked for waits for that, 0.1 s."""
+    """Load all that is registered, and NumPy with it; otherwise the first contract that is asked for takes 0.2 s."""
     contract("")
 
 

@@ -95,7 +95,7 @@ class Console:
 
     def keys(self) -> Told:
         """Return the keys of the bus."""
-        look = self._look  # as it is now: it ends with the server, in another thread
+        look = self._look  # kept, since the thread of the server may end it meanwhile
         return {"t": "keys", "keys": [] if look is None else look.keys_table()}
 
     def events(self) -> list[Told]:
@@ -196,7 +196,7 @@ class Console:
                 try:
                     self._station = Station(self.address.url, name=self.name)
                 except BusError as error:
-                    raise NotReady(f"nothing can be asked for now: {error}") from None
+                    raise NotReady(f"not done, since the station cannot be reached: {error}") from None
             return self._station
 
     def _tell_takes(self) -> None:

@@ -48,7 +48,8 @@ class Stops:
     def __init__(self, address: BusAddress, name: str) -> None:
         self._address, self._name = address, name
         self._button: StopButton | None = None
-        self._lock, self._opening = threading.Lock(), threading.Lock()  # a bus that hangs is waited for in the latter
+        self._lock = threading.Lock()  # of what was pressed: never held for long, the pages' event loop takes it
+        self._opening = threading.Lock()  # of the button: held while a connection is made, for a second if a bus hangs
         self._threads = ThreadPoolExecutor(_SIDE_BY_SIDE, "console-stop")
         self._pressed: OrderedDict[str, Future[Said]] = OrderedDict()
 
@@ -101,7 +102,7 @@ class Stops:
     def _press(self, reason: str) -> Said:
         button = self._button
         if button is None:
-            with contextlib.closing(say_past_bus(self._address, reason)) as call:  # at once: a bus may hang
+            with contextlib.closing(say_past_bus(self._address, reason)) as call:  # before the bus, which may hang
                 try:
                     button = self._opened()
                 except BusError as error:

@@ -125,16 +125,16 @@ def test_every_write_is_recorded_once_in_order_and_byte_for_byte(
 def test_no_write_waits_for_a_library_that_is_loaded(recorder: Start, bus: Bus) -> None:
     process = recorder(is_cold=True)  # as a user's: one that the tests start has NumPy from the beginning
     loaded = libraries(process.pid)
-    ended = Path(remote.ask(bus, "start", task="walk").path or "")
+    folder = Path(remote.ask(bus, "start", task="walk").path or "")
     publish(bus, 10)
     bus.publish({"something_else": b"1", keys.action_joints("arm"): b"[1]"})
     remote.ask(bus, "stop")
-    assert numbers(ended) == list(range(1, 11))
+    assert numbers(folder) == list(range(1, 11))
     assert libraries(process.pid) - loaded == set()
 
 
 def libraries(pid: int) -> set[str]:
-    """Return the compiled libraries that a process has loaded, as packages like NumPy are made of."""
+    """Return the compiled libraries that a process has loaded; NumPy is made of several."""
     rows = Path(f"/proc/{pid}/maps").read_text().splitlines()
     return {row.split(maxsplit=5)[5] for row in rows if ".so" in row}
 

@@ -142,7 +142,7 @@ def encoding_of(value: bytes) -> str:
     if len(value) > _LARGEST_JSON:
         return layout.BYTES
     try:
-        json.loads(value.decode())  # of bytes it would guess the encoding, and take four bytes for a digit in UTF-32
+        json.loads(value.decode())  # given bytes, it guesses: b"7\0\0\0" would be a 7 in UTF-32
     except (ValueError, RecursionError):
         return layout.BYTES
     return layout.JSON

@@ -1,4 +1,4 @@
-"""Pictures are in a file of their own, as viewers know them; who reads the episode gets the bytes of the bus."""
+"""Pictures go to a file of their own that viewers open; a reader of the episode gets the bytes that were on the bus."""
 
 from __future__ import annotations
 
