@@ -14,6 +14,7 @@ import os
 import queue
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Set
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import msgspec
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from foxglove import Channel, Context
     from foxglove.websocket import ChannelView, Client, WebSocketServer
 
+    from station.contract import Contract
     from station.enrich.live import LiveKey
 
 log = logging.getLogger(__name__)
@@ -43,6 +45,9 @@ MOST_KEYS = 2000
 """Keys that get channels: a client of the bus that invents keys must not fill the memory. A station has 100."""
 
 _LOOK_S = 0.5  # how long a new key stays unseen
+_NEW_AT_ONCE = (
+    8  # keys that get channels in a step: the library cuts off a client for which more than its backlog waits
+)
 _BACKLOG = 512  # messages that wait for a slow client, more than one look at a whole station; then the oldest go
 _MOST_SKIPPED = 1_000_000  # at once; a stamp that says more is no writer's count
 _BUS = "bus"  # name of what clients are told of it
@@ -164,7 +169,7 @@ class _Shown(NamedTuple):
 
 
 class LiveStation:
-    """Keys of a bus as channels; call `look` now and then, and `step` at any rate.
+    """Keys of a bus as channels; call `look` now and then, and `step` many times between.
 
     Args:
         life: Of the server.
@@ -187,6 +192,7 @@ class LiveStation:
         self._contracts, self._stated = Contracts(), dict[str, bytes]()
         self._names = TypeNames()
         self._shown: dict[str, _Shown] = {}
+        self._to_show: dict[str, Contract | None] = {}  # keys with what describes them
         self._wanted: dict[str, _Shown] = {}
         self._watch: Watch | None = None
         self._watched: frozenset[str] = frozenset()
@@ -197,25 +203,28 @@ class LiveStation:
         self.is_lost = False
 
     def look(self) -> None:
-        """Give channels to keys that are new, or that are described otherwise than before."""
+        """Find keys that are new, or that are described otherwise than before; `step` gives them channels."""
         try:
             names = self._bus.names()
             self._describe(self._bus.read([key for key in names if key.startswith(keys.CONFIG_PREFIX)]))
         except BusError:  # the bus itself says so in the log; what is shown stays
             self.is_lost = True
             return
-        self.is_lost = False
+        self.is_lost, room, self._to_show = False, MOST_KEYS - len(self._shown), {}
         for key in names:
             shown, contract = self._shown.get(key), self._contracts.get(key)
             if shown is not None and shown.live.contract == contract:
                 continue
-            if shown is None and len(self._shown) >= MOST_KEYS:
+            if shown is None and not room:
                 self._tell_beyond(len(names))
                 break
-            self._show(key, self._new_key(key, contract, self._names.new(key)))
+            room -= shown is None
+            self._to_show[key] = contract
 
     def step(self) -> None:
-        """Send what is new of the keys that somebody looks at."""
+        """Give channels to some keys that have none yet, and send what is new of those that somebody looks at."""
+        for key in list(islice(self._to_show, _NEW_AT_ONCE)):
+            self._show(key, self._new_key(key, self._to_show.pop(key), self._names.new(key)))
         if self._subscribers.poll():
             self._follow()
         for key, shown in self._wanted.items():

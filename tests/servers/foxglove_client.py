@@ -8,10 +8,12 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import socket
 import struct
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
@@ -37,6 +39,7 @@ class FoxgloveClient:
     Args:
         url: Of the server.
         most_unread: Frames that are read from the socket before somebody asks for them.
+        receive_bytes: What the socket holds unread at most, or so; 0 for what is usual.
 
     Attributes:
         info: What the server said of itself.
@@ -45,9 +48,14 @@ class FoxgloveClient:
         messages: All that came, in order.
     """
 
-    def __init__(self, url: str, *, most_unread: int = 10_000) -> None:
+    def __init__(self, url: str, *, most_unread: int = 10_000, receive_bytes: int = 0) -> None:
         self._held = contextlib.ExitStack()
         options: dict[str, Any] = {"max_size": None, "compression": None, "max_queue": most_unread}
+        if receive_bytes:
+            place = urlsplit(url)
+            options["sock"] = plain = socket.socket()
+            plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+            plain.connect((place.hostname, place.port))
         self._socket = self._held.enter_context(connect(url, subprotocols=[SUBPROTOCOL], **options))
         assert self._socket.subprotocol == SUBPROTOCOL
         self.info: dict[str, Any] = {}
