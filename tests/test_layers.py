@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib
 import json
 import os
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import grimp
 import pytest
 
 from adapters.robots.g1 import twist_keys
@@ -28,6 +30,8 @@ HEAVY = (
     "pandas", "polars", "pygame", "pyrealsense2", "rerun", "rosbags", "scservo_sdk", "serial", "simplejpeg",
     "station_kord", "torch", "xrobotoolkit_sdk", "zarr", "zmq",
 )  # fmt: skip
+
+IMPORTED = ("station", "adapters", "servers", "benchmarks", "research", "manifests", "bridges.kord.station_kord")
 
 NO_VERBS = {
     "__init__", "calibrate_operator", "candidates", "compact", "fields", "keyboard", "log_lines", "main", "options",
@@ -71,6 +75,13 @@ def test_every_room_of_the_station_has_an_import_contract_and_a_true_row_in_arch
         if listed != allowed:
             wrong.append(f"station/{room}/: the table says {listed}, pyproject.toml {allowed}")
     assert wrong == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Late imports and those of types alone count too: `lint-imports` compares rooms, not their files."""
+    graph = grimp.build_graph(*IMPORTED, cache_dir=None)
+    imported = {name: graph.find_modules_directly_imported_by(name) - {name} for name in graph.modules}
+    assert len(list(graphlib.TopologicalSorter(imported).static_order())) > 800
 
 
 def test_only_one_module_spells_the_keys_of_the_bus() -> None:

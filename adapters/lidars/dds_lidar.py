@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import Any
 
 from adapters.lidars import dds_types
-from adapters.lidars.kinds import DdsOptions
+from adapters.lidars.options import DdsOptions
 from adapters.lidars.ros_messages import parse_cloud, parse_imu
 from adapters.robots.g1.dds.network import Network
 from adapters.robots.g1.dds.options import NetworkOptions

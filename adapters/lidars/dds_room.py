@@ -10,7 +10,7 @@ import threading
 import time
 
 from adapters.lidars import dds_types
-from adapters.lidars.kinds import DdsOptions
+from adapters.lidars.options import DdsOptions
 from adapters.lidars.room import FRAME, POINTS, RATE_HZ, Room
 from adapters.lidars.ros_messages import Imu, write_cloud, write_imu
 from adapters.robots.g1.dds.network import Network, raw

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 
 from adapters.cameras.pace import Pace
-from adapters.lidars.kinds import RaysOptions
+from adapters.lidars.options import RaysOptions
 from adapters.lidars.room import FRAME, Room
 from station.camera.source import Drops
 from station.lidar.source import ImuSample, Scan

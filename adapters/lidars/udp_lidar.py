@@ -12,8 +12,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from adapters.lidars.kinds import UdpOptions
 from adapters.lidars.livox_packets import IMU, Packet, cloud_of, imu_of, parse
+from adapters.lidars.options import UdpOptions
 from adapters.lidars.room import FIELDS, FRAME
 from station.camera.source import Drops
 from station.lidar.source import ImuSample, LidarError, Scan

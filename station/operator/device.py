@@ -1,9 +1,13 @@
-"""What a device is to the server that reads it. Knows no device, no robot and no bus."""
+"""What a device is to the server that reads it. Knows no device and no robot."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from station.bus.address import BusAddress
 from station.errors import StationError
 from station.operator.sample import OperatorSample
 
@@ -48,3 +52,24 @@ class Device(Protocol):
     def close(self) -> None:
         """Release the device; a second call does nothing."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Where a server has its device from.
+
+    Attributes:
+        open: Opens the device; called again after it was lost. Raises `DeviceError`.
+        begin: Lets the script of a fake begin; called once, when the server is active. None for a real device.
+        also: Makes further values, written with every tick, of the newest sample; of an empty one while the device is
+            lost, so that no button stays pressed.
+        beside: What runs beside it while the server is active, of the bus's address and the server's name: of a device
+            that shows its operator pictures and tells what happens. None for one that does not.
+        numbers: What the server tells of the device once a second, in its heartbeat.
+    """
+
+    open: Callable[[], Device]
+    begin: Callable[[], object] | None = None
+    also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None
+    beside: Callable[[BusAddress, str], AbstractContextManager[object]] | None = None
+    numbers: Callable[[], Mapping[str, Any]] | None = None

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from station import libraries
-from station.bus.address import BusAddress
 from station.clock import Clock
 from station.config import to_plain
 from station.errors import ConfigError
-from station.operator.device import Device
+from station.operator.device import Source
 from station.operator.measure import OperatorMeasure
-from station.operator.sample import OperatorSample
 
 if TYPE_CHECKING:
     import click
@@ -41,27 +39,6 @@ class DeviceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def __post_init__(self) -> None:
         if not 10.0 <= self.rate_hz <= 500.0:
             raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 10 to 500 Hz")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Where a server has its device from.
-
-    Attributes:
-        open: Opens the device; called again after it was lost. Raises `station.operator.device.DeviceError`.
-        begin: Lets the script of a fake begin; called once, when the server is active. None for a real device.
-        also: Makes further values, written with every tick, of the newest sample; of an empty one while the device is
-            lost, so that no button stays pressed.
-        beside: What runs beside it while the server is active, of the bus's address and the server's name: of a device
-            that shows its operator pictures and tells what happens. None for one that does not.
-        numbers: What the server tells of the device once a second, in its heartbeat.
-    """
-
-    open: Callable[[], Device]
-    begin: Callable[[], object] | None = None
-    also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None
-    beside: Callable[[BusAddress, str], AbstractContextManager[object]] | None = None
-    numbers: Callable[[], Mapping[str, Any]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

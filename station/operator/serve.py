@@ -17,8 +17,7 @@ from station.life.events import Severity
 from station.life.loop import Rate, real_time
 from station.life.server import Life
 from station.operator import sample as readings
-from station.operator.device import Device, DeviceError
-from station.operator.device_kind import Source
+from station.operator.device import Device, DeviceError, Source
 from station.operator.sample import OperatorSample, Part, State, Status
 
 _AGAIN_S = 1.0

@@ -340,6 +340,8 @@ class Session:
         Raises:
             NotReady: something is not as expected, or it could not be measured.
         """
+        from station.supervision.measuring import measured  # it loads NumPy
+
         measure, faults = step.what, list[Event]()
 
         def meanwhile(elapsed_s: float) -> list[Event]:
@@ -355,7 +357,7 @@ class Session:
             self._ui.begin(f"{step}  {elapsed_s:.0f} of {measure.for_s:g} s")
             return happened
 
-        found = measure.run(self._bus, self._robots(), meanwhile)
+        found = measured(measure, self._bus, self._robots(), meanwhile)
         if measure.after_commands is None:  # there a fault is what is waited for
             told = "; ".join(map(str, faults)) or "none"
             found.append(Figure(name="faults", text=told, expected="none" if faults else "", is_good=not faults))

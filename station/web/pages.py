@@ -19,17 +19,17 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from station.printable import printable
+from station.software import software
 from station.web.asks import Ask
 from station.web.doorkeeper import Doorkeeper
 from station.web.keyring import Role
+from station.web.shown import Shown
 from station.web.sign_in import PAGE, SignIn
 from station.web.sockets import SIGNED_OUT, object_of, serve_feeds, until_first
 from station.web.stop_route import StopRoute
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
-
-    from station.web.console import Console
 
 MOST_SOCKETS = 64
 _MOST_EVENTS = 500  # that wait for a slow page
@@ -42,7 +42,7 @@ class Pages:
     """The application.
 
     Args:
-        console: What it shows.
+        shown: What it shows.
         hosts: Names that it may be opened as.
         port: Its port.
         is_secure: Whether it is served with TLS.
@@ -51,10 +51,10 @@ class Pages:
         app: To be served.
     """
 
-    def __init__(self, console: Console, hosts: Collection[str], port: int, *, is_secure: bool) -> None:
-        self._console = console
-        self._sign_in = SignIn(console.keyring, PAGE / "index.html", port, is_secure=is_secure)
-        self._stop = StopRoute(console.stops, console.keyring)
+    def __init__(self, shown: Shown, hosts: Collection[str], port: int, *, is_secure: bool) -> None:
+        self._shown = shown
+        self._sign_in = SignIn(shown.keyring, PAGE / "index.html", port, is_secure=is_secure)
+        self._stop = StopRoute(shown.stops, shown.keyring)
         self._news: set[News] = set()
         self._sockets = 0
         self._holder: News | None = None
@@ -83,30 +83,28 @@ class Pages:
 
     # -- Asked once ---------------------------------------------------------------------------------------------------
     async def _me(self, request: Request) -> Response:
-        from station.web.console import version
-
         if (role := self._role(request)) is None:
             return _error("sign in first", 401)
-        return _json({"role": role, "stop_key": self._console.keyring.stop_key, "station": self._console.title,
-                      "version": version()})  # fmt: skip
+        return _json({"role": role, "stop_key": self._shown.keyring.stop_key, "station": self._shown.title,
+                      "version": software().version or "unknown"})  # fmt: skip
 
     async def _scene(self, request: Request) -> Response:
         if self._role(request) is None:
             return _error("sign in first", 401)
         name = request.query_params.get("robot", "")
-        found = await run_in_threadpool(self._console.scene, name)
+        found = await run_in_threadpool(self._shown.scene, name)
         return _error(f"no robot {printable(name, 80)!r}", 404) if found is None else _json(found)
 
     async def _episode(self, request: Request) -> Response:
         if self._role(request) is None:
             return _error("sign in first", 401)
-        found = await run_in_threadpool(self._console.takes.detail, request.query_params.get("id", ""))
+        found = await run_in_threadpool(self._shown.takes.detail, request.query_params.get("id", ""))
         return _error("no such episode", 404) if found is None else _json(found)
 
     async def _sheet(self, request: Request) -> Response:
         if self._role(request) is None:
             return _error("sign in first", 401)
-        found = await run_in_threadpool(self._console.takes.sheet, request.query_params.get("id", ""))
+        found = await run_in_threadpool(self._shown.takes.sheet, request.query_params.get("id", ""))
         return _error("no pictures", 404) if found is None else Response(found, media_type="image/png")
 
     def _role(self, request: HTTPConnection) -> Role | None:
@@ -141,7 +139,7 @@ class Pages:
         await socket.accept()
         self._sockets += 1
         try:
-            await serve_feeds(socket, self._console.feeds, self._console.address.clock, self._console.players)
+            await serve_feeds(socket, self._shown.feeds, self._shown.address.clock, self._shown.players)
         finally:
             self._sockets -= 1
 
@@ -149,16 +147,16 @@ class Pages:
     def whole(self, page: News, name: str) -> dict[str, Any]:
         """Return one of the whole states, for a page."""
         if name == "keys":
-            return self._console.keys()
+            return self._shown.keys()
         if name == "episodes":
-            return self._console.episodes()
+            return self._shown.episodes()
         holder = self._holder
         desk = {"is_mine": holder is page, "holder": "" if holder is None else holder.who, "viewers": len(self._news)}
-        return {**self._console.state(), "desk": desk}
+        return {**self._shown.state(), "desk": desk}
 
     def first_words(self) -> list[dict[str, Any]]:
         """Return what a page is told of before it came."""
-        return self._console.events()
+        return self._shown.events()
 
     async def answer(self, page: News, said: dict[str, Any]) -> dict[str, Any]:
         """Do what an operator's page asks for; return the answer."""
@@ -177,7 +175,7 @@ class Pages:
     async def stopped(self, page: News, said: dict[str, Any]) -> dict[str, Any]:
         """Press the stop for a page; return what became of it."""
         press = str(said.get("id", ""))[:80]
-        if not press or not self._console.keyring.is_stop_key(str(said.get("key", ""))):
+        if not press or not self._shown.keyring.is_stop_key(str(said.get("key", ""))):
             return {"t": "stop", "id": press, "said": "not-taken", "text": "no key of the stop; press the robot's own"}
         return {"t": "stop", **await self._stop.press(press, page.where)}
 
@@ -192,7 +190,7 @@ class Pages:
             if self._holder is not None:
                 return False, f"the desk is with {self._holder.who}; take it first"
             self._holder = page
-        return await self._console.do(ask, page.who)
+        return await self._shown.do(ask, page.who)
 
 
 class News:

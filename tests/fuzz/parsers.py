@@ -106,7 +106,7 @@ from station.operator.sample import Body, OperatorSample, Pose, Status
 from station.operator.script_time import now_s
 from station.operator.station_monitor import SilenceMonitor, StationMonitor
 from station.protobuf import foxglove
-from station.supervision import agent, doctor, hosts, measure
+from station.supervision import agent, doctor, hosts, measuring
 from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.clouds import log_cloud
@@ -713,7 +713,7 @@ def _requests() -> list[Parser]:
 def _measured(data: bytes) -> object:
     contract = contracts.contract(keys.robot_state(ROBOT))
     assert contract is not None
-    return measure._rows(contract, Sample(contract.key, data, None, None))
+    return measuring._rows(contract, Sample(contract.key, data, None, None))
 
 
 def _told() -> list[Parser]:
@@ -748,7 +748,7 @@ def _told() -> list[Parser]:
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
         Parser("log line", lambda data: logs._object("g1", data.decode(errors="replace")), (dumped(GATE), b"I a: b"),
                ("station.cli.logs",)),
-        Parser("measured", _measured, (codec.f64(np.ones(65)),), ("station.supervision.measure",), (NotReady,)),
+        Parser("measured", _measured, (codec.f64(np.ones(65)),), ("station.supervision.measuring",), (NotReady,)),
         Parser("progress, an arm's", _arm_progress, (health(), b'{"a": 1}'), ("station.view.progress",)),
     ]  # fmt: skip
 

@@ -22,8 +22,7 @@ from station.bus.client import Bus
 from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
-from station.operator.device import Device, DeviceError
-from station.operator.device_kind import Source
+from station.operator.device import Device, DeviceError, Source
 from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.examples import some

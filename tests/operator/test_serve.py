@@ -15,8 +15,7 @@ from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
 from station.operator import sample as readings
-from station.operator.device import Device, DeviceError
-from station.operator.device_kind import Source
+from station.operator.device import Device, DeviceError, Source
 from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.virtual.clock import VirtualClock

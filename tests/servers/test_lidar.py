@@ -38,7 +38,7 @@ class Sender:
 
     def __init__(self) -> None:
         from adapters.lidars import dds_types
-        from adapters.lidars.kinds import DdsOptions
+        from adapters.lidars.options import DdsOptions
         from adapters.robots.g1.dds.network import Network, raw
         from adapters.robots.g1.dds.options import NetworkOptions
 

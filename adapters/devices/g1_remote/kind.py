@@ -11,8 +11,8 @@ from adapters.devices import pair
 from adapters.devices.gamepad.names import CONTROLS
 from adapters.robots.g1.dds.options import LOOPBACK, ROBOT_DOMAIN, NetworkOptions
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 if TYPE_CHECKING:  # it loads DDS
     from adapters.devices.g1_remote.device import States

@@ -15,8 +15,8 @@ from adapters.devices import pair
 from adapters.devices.gamepad.names import CONTROLS
 from adapters.devices.gamepad.pedals import parsed
 from station.clock import Clock
-from station.operator.device import Device, DeviceError
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, DeviceError, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 
 class GamepadConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.devices.gello.bus import BUSES, Servos
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 if TYPE_CHECKING:
     import click

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 if TYPE_CHECKING:
     import click

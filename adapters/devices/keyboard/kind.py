@@ -9,7 +9,8 @@ from pathlib import Path
 from adapters.devices.keyboard.device import HOLD_S, Keyboard
 from adapters.devices.keyboard.keys import NAMES
 from station.clock import Clock
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 
 class KeyboardConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from adapters.devices.natnet.wire import COMMAND_PORT, DATA_PORT
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 from station.operator.measure import OperatorMeasure
 
 _HOST = "127.0.0.1"

@@ -18,8 +18,8 @@ from adapters.devices.pico.controls import CONTROLS
 from adapters.devices.pico.headset import DEFAULT_PORT
 from station.bus import codec
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 from station.operator.measure import OperatorMeasure
 from station.operator.sample import OperatorSample, Side
 
@@ -63,7 +63,6 @@ def _source(config: PicoConfig, clock: Clock, start_s: float) -> Iterator[Source
 
 
 def _stock(reading: OperatorSample) -> Mapping[str, bytes]:
-    from adapters.devices.pico.kind import controller_data
     from adapters.robots.g1 import twist_keys
 
     return {twist_keys.CONTROLLER_DATA: codec.json_object(controller_data(reading))}

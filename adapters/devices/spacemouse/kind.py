@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from station.clock import Clock
-from station.operator.device import Device
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Device, Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 
 
 class SpacemouseConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

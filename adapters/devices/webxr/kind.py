@@ -18,7 +18,8 @@ from adapters.devices import pair
 from adapters.devices.webxr.controls import CONTROLS, TOUCH_HOLD
 from station.bus.address import BusAddress
 from station.clock import Clock
-from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+from station.operator.device import Source
+from station.operator.device_kind import DeviceConfig, DeviceKind
 from station.operator.measure import OperatorMeasure
 from station.operator.sample import Pose
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adapters.lidars import room
-from adapters.lidars.kinds import RaysOptions
+from adapters.lidars.options import RaysOptions
 from adapters.lidars.rays import RaysLidar
 from station import rotations
 from station.lidar.source import Lidar

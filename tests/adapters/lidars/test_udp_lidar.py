@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adapters.lidars import livox_packets as packets
-from adapters.lidars.kinds import UdpOptions
+from adapters.lidars.options import UdpOptions
 from adapters.lidars.room import Room
 from adapters.lidars.udp_lidar import UdpLidar
 from station.lidar.source import Lidar, LidarError
