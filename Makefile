@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-JOBS   ?= 4# processes that run tests: on two cores, since many of them wait for a station; six are no faster
+JOBS   ?= auto# processes that run tests: tests/workers.py
 
 KORD_SOURCES := $(shell find bridges/kord -type f -not -name '*.pyc' -not -path '*/build/*' 2>/dev/null)
 

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, settings
 from station import python_child
 from station.bus.address import BusAddress
 from station.software import software
-from tests import examples, figures, leftovers, progress, tiers
+from tests import examples, figures, leftovers, progress, tiers, workers
 from tests.figures import Figures
 from tests.network_link import link
 from tests.shared_bus import SharedBus
@@ -40,6 +40,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     parser.addoption("--new-examples", action="store_true", help="draw other random examples than the last run")
     parser.addoption("--write-figures", action="store_true", help="proof tier: write its figures into docs/")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """Return what ``-n auto`` means; xdist asks for ``-n logical`` too."""
+    return workers.here() if config.option.numprocesses == "auto" else None
 
 
 def _keep_off_the_disk() -> None:

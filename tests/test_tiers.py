@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import workers
 from tests.tiers import ROOT, NotInItsTier
 
 COMMAND = [sys.executable, "-I", "-S", "-c", ""]
@@ -25,6 +26,15 @@ def test_a_library_may_start_one_when_it_is_imported(tmp_path: Path, monkeypatch
     (tmp_path / "asks_for_a_version.py").write_text(f"import subprocess\nsubprocess.run({COMMAND!r}, check=True)\n")
     monkeypatch.syspath_prepend(tmp_path)
     importlib.import_module("asks_for_a_version")
+
+
+@pytest.mark.parametrize(
+    ("processors", "additions_s", "expected"), [(2, 0.03, 4), (2, 0.07, 2), (1, 0.03, 2), (1, 0.07, 1), (16, 0.07, 4)]
+)
+def test_a_slow_machine_runs_one_process_of_tests_a_processor(
+    processors: int, additions_s: float, expected: int
+) -> None:
+    assert workers.count(processors, additions_s) == expected
 
 
 def test_a_run_leaves_no_temporary_files_to_the_next_one(processes: None) -> None:

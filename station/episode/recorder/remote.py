@@ -44,7 +44,7 @@ def _why_silent(bus: Bus, waited_s: float) -> str:
     for health in read_health(bus):
         if health.role == "recorder" and health.is_alive:
             return (
-                f"{health.name!r} has not answered within {waited_s:g} s and is alive: its disk may hang; it does what "
-                "it was asked as soon as it can (`station status`)"
+                f"{health.name!r} has not answered within {waited_s:g} s and is alive: its disk may hang, or others "
+                "leave it no processor; it does what it was asked as soon as it can (`station status`)"
             )
     return f"no recorder answered within {waited_s:g} s; start one with `station serve recorder`"
