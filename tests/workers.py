@@ -1,19 +1,20 @@
-"""How many processes run tests together (``make test``): two a processor where it is fast, since many tests wait.
+"""How many processes run tests together (``make test``): two a processor where those are fast, since many tests wait.
 
-Where it is slow there is one: the robots that four tests simulate in real time then take all that two processors have,
-and nothing is left for what records them.
+Where they are slow there is one: the robots that four tests simulate in real time then take all that two processors
+have, and neither is a robot twin punctual nor does a recorder get on.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import time
 
 MOST = 4
 """On two processors six are no faster."""
 
-_ADDITIONS = 1_000_000
-_SLOW_S = 0.05  # for these; where they took 0.03 s four processes were right, where they took 0.07 s two
+_MILLIONS = 6  # of additions, by each processor
+_SLOW_S = 0.055  # for a million; two threads of one core take 0.07 s together, where one alone takes 0.04 s
 
 
 def count(processors: int, additions_s: float) -> int:
@@ -21,18 +22,23 @@ def count(processors: int, additions_s: float) -> int:
 
     Args:
         processors: That they may use.
-        additions_s: How long a million additions take here [s].
+        additions_s: How long a million additions take on each of them, while all do that [s].
     """
     return min(MOST, processors if additions_s > _SLOW_S else 2 * processors)
 
 
 def here() -> int:
     """Return how many run tests on this machine, as fast as it is now."""
-    return count(len(os.sched_getaffinity(0)), min(_timed() for _ in range(5)))
+    processors = len(os.sched_getaffinity(0))
+    with multiprocessing.get_context("fork").Pool(processors) as pool:
+        pool.map(_add, [1] * processors, chunksize=1)  # all are there
+        began_s = time.perf_counter()
+        pool.map(_add, [1_000_000 * _MILLIONS] * processors, chunksize=1)
+        return count(processors, (time.perf_counter() - began_s) / _MILLIONS)
 
 
-def _timed() -> float:
-    began_s, total = time.perf_counter(), 0
-    for number in range(_ADDITIONS):
+def _add(count: int) -> int:
+    total = 0
+    for number in range(count):
         total += number
-    return time.perf_counter() - began_s
+    return total
