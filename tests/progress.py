@@ -1,4 +1,4 @@
-"""What a run of the suite prints: how far it is, every few seconds; at its end what was slow and what was skipped."""
+"""What a run of the suite prints: how far it is, and what failed; at its end what was slow and what was skipped."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tests import figures, leftovers, tiers
 
 EVERY_S = 5.0
 SLOWEST = 10
+_LONGEST = 200
 FETCHED = "twist2-model twist2-motions twist2-checkpoint"
 
 
@@ -38,10 +39,11 @@ class Progress:
         self._files = leftovers.files_in_checkout()
 
     def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
-        """Print no dot for what passed, where lines of progress are printed."""
-        if not self._is_quiet and report.when == "call" and report.passed:
-            return "passed", "", "PASSED"
-        return None
+        """Print no letters where lines are printed."""
+        if self._is_quiet or report.skipped or (report.passed and report.when != "call"):
+            return None
+        word = "passed" if report.passed else "failed" if report.when == "call" else "error"
+        return word, "", word.upper()
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         self._total = len(session.items)
@@ -51,7 +53,7 @@ class Progress:
         self._total = len(ids)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Count what a test did, and say now and then how far the run is."""
+        """Count what a test did; say at once that it failed, and now and then how far the run is."""
         self._seconds[report.nodeid] += report.duration  # type: ignore[assignment]
         if report.when == "call" or not report.passed:
             self._outcomes[report.outcome] += 1
@@ -59,6 +61,8 @@ class Progress:
                 self._without_data += 1
             if "build" in report.keywords and not report.skipped:
                 self._build_is_green = report.passed and self._build_is_green is not False
+        if report.failed and not self._is_quiet:
+            self._print(f"failed: {report.nodeid}: {_why(report)}")
         now_s = time.monotonic()
         if not self._is_quiet and now_s - self._said_s >= EVERY_S:
             self._said_s = now_s
@@ -108,3 +112,10 @@ class Progress:
         if reporter is not None and not os.environ.get("PYTEST_XDIST_WORKER"):
             reporter.ensure_newline()
             reporter.write_line(line)
+
+
+def _why(report: pytest.TestReport) -> str:
+    """Return why a test failed, in a line; all of it is told at the end of the run."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    text = crash.message if crash is not None else str(report.longrepr)
+    return text.partition("\n")[0][:_LONGEST]
