@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, settings
 from station import python_child
 from station.bus.address import BusAddress
 from station.software import software
-from tests import examples, figures, leftovers, progress, tiers, workers
+from tests import examples, figures, leftovers, progress, tiers
 from tests.figures import Figures
 from tests.network_link import link
 from tests.shared_bus import SharedBus
@@ -45,7 +45,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """Return what ``-n auto`` means; xdist asks for ``-n logical`` too."""
+    from tests import workers
+
     return workers.here() if config.option.numprocesses == "auto" else None
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Return what gives tests to processes, where they are given by module."""
+    from tests import workers
+
+    return workers.OneTwinAtATime(config, log) if config.getoption("dist") == "loadscope" else None
 
 
 def _keep_off_the_disk() -> None:

@@ -37,6 +37,13 @@ def test_a_slow_machine_runs_one_process_of_tests_a_processor(
     assert workers.count(processors, additions_s) == expected
 
 
+def test_one_process_has_all_robot_twins_in_real_time() -> None:
+    split = workers.OneTwinAtATime.__new__(workers.OneTwinAtATime)._split_scope
+    twins = {split(f"tests/bridges/g1_guard/test_{name}.py::test[a::b]") for name in ("station", "deployment")}
+    assert twins == {split("tests/main_job/test_real_g1.py::test_x")}
+    assert split("tests/test_tiers.py::test_x") == "tests/test_tiers.py"
+
+
 def test_a_run_leaves_no_temporary_files_to_the_next_one(processes: None) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "frozen"]
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # a path that is short enough for sockets below it
