@@ -60,6 +60,12 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     loads_first: bool = False
 
 
+MOST_MISSED = 0.1
+"""Share of its periods from which on a loop does not keep its rate; see `Health.missed_since`."""
+
+TOO_SLOW = "its loop does not keep its rate: this machine is too slow for what runs on it, or busy"
+
+
 class Health(msgspec.Struct, kw_only=True):
     """What a server says of itself on ``station:server:<name>``, twice a second and at each change of state.
 
@@ -94,6 +100,13 @@ class Health(msgspec.Struct, kw_only=True):
         """Whether its last word is fresh and no farewell, by the wall clock of who read it (`read_health`)."""
         is_fresh = wall_ns - self.wall_ns < DEAD_AFTER_S * 1e9
         return self.state != "finalized" and is_fresh and not self._is_dead_process()
+
+    def missed_since(self, before: Health) -> float:
+        """Return the share of its loop's periods that were missed since an earlier word of the same process, 0..1."""
+        seconds, missed = (self.wall_ns - before.wall_ns) * 1e-9, self.overruns - before.overruns
+        if self.source != before.source or self.rate_hz is None or seconds <= 0.0 or missed <= 0:
+            return 0.0
+        return missed / (missed + max(0.0, self.rate_hz) * seconds)
 
     def _is_dead_process(self) -> bool:
         """Whether it was killed on this machine: its last heartbeat may still look fresh."""

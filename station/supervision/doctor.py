@@ -25,7 +25,7 @@ from station.bus.watch import Watch
 from station.episode.storage.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
 from station.life import stop_file
-from station.life.server import Health, read_configurations, read_health
+from station.life.server import MOST_MISSED, TOO_SLOW, Health, read_configurations, read_health
 from station.life.stop_file import LatchedStop, StopFile
 from station.printable import printable
 from station.software import software
@@ -100,7 +100,9 @@ def examine(bus: Bus) -> Iterator[Finding]:
         yield from _low_level(bus, health)
     if not low_level:
         yield from _commands_without_a_robot(bus)
-    yield from _recorder(bus, read_health(bus))  # to look at commands takes a second each: what was heard before is old
+    heard = read_health(bus)  # to look at commands takes a second each: what was heard before is old
+    yield from _loops(servers, heard)
+    yield from _recorder(bus, heard)
     yield from machine()
 
 
@@ -171,6 +173,17 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
     if alive and not any(health.role == "low-level" for health in alive):
         yield Finding("broken", "low-level server", "none of ours runs: nothing turns commands into motion",
                       "station serve g1 (or start your stock low-level script)")  # fmt: skip
+
+
+def _loops(before: list[Health], now: list[Health]) -> Iterator[Finding]:
+    """Yield whose loop has missed periods while the doctor looked."""
+    earlier = {health.name: health for health in before}
+    for health in now:
+        share = health.missed_since(earlier[health.name]) if health.name in earlier else 0.0
+        if share > MOST_MISSED:
+            found = f"{TOO_SLOW}; {share:.0%} of its periods were missed"
+            remedy = "end what else runs there (`top`); a longer physics_dt_s makes a simulation cheaper"
+            yield Finding("warning", f"server {health.name}", found, remedy)
 
 
 def _estop(latched: LatchedStop | None) -> Finding:
