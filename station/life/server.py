@@ -63,7 +63,7 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
 MOST_MISSED = 0.1
 """Share of its periods from which on a loop does not keep its rate; see `Health.missed_since`."""
 
-TOO_SLOW = "its loop does not keep its rate: this machine is too slow for what runs on it, or busy"
+TOO_SLOW = "its loop does not keep its rate: its machine is too slow for what runs there, or busy"
 
 
 class Health(msgspec.Struct, kw_only=True):
