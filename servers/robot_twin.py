@@ -165,11 +165,7 @@ def _run(life: Life, twin: Twin, switches: FaultSwitches, requests: NewRequests,
             said_s = now_s
             for answer in _obey(life, twin, switches, requests):
                 life.report(changed=msgspec.to_builtins(answer))
-            stats = rate.stats()
-            life.report(
-                rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                overruns=stats.overruns, faults=switches.shown(), **twin.health(),
-            )  # fmt: skip
+            life.report(**msgspec.structs.asdict(rate.stats()), faults=switches.shown(), **twin.health())
 
 
 def _obey(life: Life, twin: Twin, switches: FaultSwitches, requests: NewRequests) -> Iterator[TwinAnswer]:

@@ -120,11 +120,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
                 followed = first
                 rate.shift(phase.on_tick(first.source, now_s - first.arrived_s))
             if self._is_time_to_report():
-                stats = rate.stats()
-                self._report(
-                    rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                    overruns=stats.overruns, follows_commander=phase.is_locked,
-                )  # fmt: skip
+                self._report(**msgspec.structs.asdict(rate.stats()), follows_commander=phase.is_locked)
 
     def run_in_lock_step(self, timeout_s: float) -> None:
         """Tick with the commander until the server is asked to stop.

@@ -26,11 +26,13 @@ class LoopStats(msgspec.Struct, frozen=True):
 
     Attributes:
         rate_hz: Ticks per second over the window.
+        nominal_hz: Those that there are to be.
         jitter_p50_ms, jitter_p99_ms: How late after its deadline a tick woke [ms].
         overruns: Periods missed since the start.
     """
 
     rate_hz: float
+    nominal_hz: float
     jitter_p50_ms: float
     jitter_p99_ms: float
     overruns: int
@@ -83,12 +85,12 @@ class Rate:
 
     def stats(self) -> LoopStats:
         """Return how the loop has kept its time over the last ten seconds or so."""
-        wakes = list(self._wakes)
+        wakes, nominal_hz = list(self._wakes), 1e9 / self.period_ns
         if len(wakes) < 2:
-            return LoopStats(0.0, 0.0, 0.0, self.overruns)
+            return LoopStats(0.0, nominal_hz, 0.0, 0.0, self.overruns)
         late_ms = sorted(late_ns * 1e-6 for _, late_ns in wakes)
         rate_hz = (len(wakes) - 1) / ((wakes[-1][0] - wakes[0][0]) * 1e-9)
-        return LoopStats(rate_hz, _quantile(late_ms, 0.5), _quantile(late_ms, 0.99), self.overruns)
+        return LoopStats(rate_hz, nominal_hz, _quantile(late_ms, 0.5), _quantile(late_ms, 0.99), self.overruns)
 
 
 def _quantile(ordered: list[float], share: float) -> float:

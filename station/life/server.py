@@ -60,16 +60,14 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     loads_first: bool = False
 
 
-MOST_MISSED = 0.1
-"""Share of its periods from which on a loop does not keep its rate; see `Health.missed_since`."""
-
-TOO_SLOW = "its loop does not keep its rate: its machine is too slow for what runs there, or busy"
+_KEPT = 0.9  # of its rate, which a loop keeps
 
 
 class Health(msgspec.Struct, kw_only=True):
     """What a server says of itself on ``station:server:<name>``, twice a second and at each change of state.
 
     `events` are those of the last few seconds, which on their own key may have been overwritten before anybody looked.
+    `rate_hz` and `nominal_hz` are the ticks per second that its loop has, and is to have.
     """
 
     name: str
@@ -84,6 +82,7 @@ class Health(msgspec.Struct, kw_only=True):
     reason: str = ""
     config_sha256: str = ""
     rate_hz: float | None = None
+    nominal_hz: float | None = None
     jitter_p50_ms: float | None = None
     jitter_p99_ms: float | None = None
     overruns: int = 0
@@ -101,12 +100,12 @@ class Health(msgspec.Struct, kw_only=True):
         is_fresh = wall_ns - self.wall_ns < DEAD_AFTER_S * 1e9
         return self.state != "finalized" and is_fresh and not self._is_dead_process()
 
-    def missed_since(self, before: Health) -> float:
-        """Return the share of its loop's periods that were missed since an earlier word of the same process, 0..1."""
-        seconds, missed = (self.wall_ns - before.wall_ns) * 1e-9, self.overruns - before.overruns
-        if self.source != before.source or self.rate_hz is None or seconds <= 0.0 or missed <= 0:
-            return 0.0
-        return missed / (missed + max(0.0, self.rate_hz) * seconds)
+    @property
+    def why_late(self) -> str:
+        """Why its loop has fewer ticks than it is to have, or "": it is that the machine has no time for it."""
+        if not self.rate_hz or not self.nominal_hz or not self.rate_hz < _KEPT * self.nominal_hz:
+            return ""
+        return "its loop does not keep its rate: its machine is too slow for what runs there, or busy"
 
     def _is_dead_process(self) -> bool:
         """Whether it was killed on this machine: its last heartbeat may still look fresh."""
@@ -121,7 +120,7 @@ class Health(msgspec.Struct, kw_only=True):
         return False
 
 
-_HEALTH_FIELDS = ("rate_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
+_HEALTH_FIELDS = ("rate_hz", "nominal_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
 
 
 class Life:

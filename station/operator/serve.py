@@ -13,6 +13,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
+
 from station.life.events import Severity
 from station.life.loop import Rate, real_time
 from station.life.server import Life
@@ -74,10 +76,8 @@ def _run(life: Life, device_loop: _DeviceLoop, rate_hz: float, numbers: Callable
         device_loop.tick(life.clock.monotonic_s())
         ticks += 1
         if ticks % window == 0:  # once a second
-            stats = rate.stats()
-            life.report(rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                        overruns=stats.overruns, samples_hz=(device_loop.new - counted) * rate_hz / window,
-                        **numbers())  # fmt: skip
+            samples_hz = (device_loop.new - counted) * rate_hz / window
+            life.report(**msgspec.structs.asdict(rate.stats()), samples_hz=samples_hz, **numbers())
             counted = device_loop.new
 
 

@@ -25,7 +25,7 @@ from station.bus.watch import Watch
 from station.episode.storage.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
 from station.life import stop_file
-from station.life.server import MOST_MISSED, TOO_SLOW, Health, read_configurations, read_health
+from station.life.server import Health, read_configurations, read_health
 from station.life.stop_file import LatchedStop, StopFile
 from station.printable import printable
 from station.software import software
@@ -100,9 +100,7 @@ def examine(bus: Bus) -> Iterator[Finding]:
         yield from _low_level(bus, health)
     if not low_level:
         yield from _commands_without_a_robot(bus)
-    heard = read_health(bus)  # to look at commands takes a second each: what was heard before is old
-    yield from _loops(servers, heard)
-    yield from _recorder(bus, heard)
+    yield from _recorder(bus, read_health(bus))  # to look at commands takes a second each: what was heard before is old
     yield from machine()
 
 
@@ -165,6 +163,11 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
             remedy = "" if health.state == "active" else "it waits for its supervisor; is a confirmation open there?"
             yield Finding("ok" if health.state == "active" else "warning", f"server {health.name}",
                           f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
+            if why := health.why_late:
+                rates = f"{health.rate_hz:.0f} of {health.nominal_hz:.0f} Hz"
+                yield Finding("warning", f"loop of {health.name}", f"{rates}: {why}",
+                              "end what else runs there (`top`); a simulation takes less with a longer physics_dt_s",
+                              )  # fmt: skip
         elif health.state != "finalized":
             log = logs / f"{health.name}.log"
             is_there = log in logs.glob("*.log")  # of a name from the bus, which may be no name of a file at all
@@ -173,17 +176,6 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
     if alive and not any(health.role == "low-level" for health in alive):
         yield Finding("broken", "low-level server", "none of ours runs: nothing turns commands into motion",
                       "station serve g1 (or start your stock low-level script)")  # fmt: skip
-
-
-def _loops(before: list[Health], now: list[Health]) -> Iterator[Finding]:
-    """Yield whose loop has missed periods while the doctor looked."""
-    earlier = {health.name: health for health in before}
-    for health in now:
-        share = health.missed_since(earlier[health.name]) if health.name in earlier else 0.0
-        if share > MOST_MISSED:
-            found = f"{TOO_SLOW}; {share:.0%} of its periods were missed"
-            remedy = "end what else runs there (`top`); a longer physics_dt_s makes a simulation cheaper"
-            yield Finding("warning", f"server {health.name}", found, remedy)
 
 
 def _estop(latched: LatchedStop | None) -> Finding:

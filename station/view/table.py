@@ -71,7 +71,7 @@ def render_servers(servers: Iterable[Health], width: int = WIDE) -> Group:
             plain(health.name),
             f"[{_COLOURS.get(state, 'red')}]{state}[/]",
             str(health.pid),
-            "" if health.rate_hz is None else f"{health.rate_hz:.1f} Hz",
+            _rate(health),
             _jitter(health),
             str(health.overruns) if health.rate_hz is not None else "",
             str(health.lost_writes) if health.lost_writes else "",
@@ -92,6 +92,14 @@ def _detail(health: Health) -> str:
     shown = [f"{_WORDS.get(key) or key.replace('_', ' ')} {_value(value)}"
              for key, value in health.detail.items() if value not in _EMPTY and key != _HELP]  # fmt: skip
     return plain(" · ".join(shown))
+
+
+def _rate(health: Health) -> str:
+    if health.rate_hz is None:
+        return ""
+    if health.why_late:
+        return f"[yellow]{health.rate_hz:.1f} of {health.nominal_hz:.0f} Hz[/]"
+    return f"{health.rate_hz:.1f} Hz"
 
 
 def _jitter(health: Health) -> str:

@@ -27,7 +27,7 @@ from station.errors import BusError, StationError, UnknownName
 from station.life import estop, runbook_request, stop_file
 from station.life.event_feed import EventFeed
 from station.life.events import Event
-from station.life.server import MOST_MISSED, TOO_SLOW, Health, decode_health
+from station.life.server import Health, decode_health
 from station.printable import printable
 from station.web.drawn_robot import DrawnRobot
 from station.web.feeds import Frame
@@ -39,7 +39,6 @@ FROZEN_S = 0.5
 """Age from which on a picture is said to be frozen [s]."""
 
 _LOOK_S, _COUNT_S, _ASK_S = 0.5, 1.0, 0.2
-_LOOP_NS = 5_000_000_000  # over which it is judged whether a loop keeps its rate
 _LINKED_S = 0.5  # since the bus last answered
 _LONGEST = 300  # characters of a text from the bus
 _STOP = "stop"  # level of an alarm that says that robots were stopped; to a page it is an error
@@ -67,8 +66,6 @@ class Look:
         self._stated: dict[str, bytes] = {}
         self._facts: list[dict[str, Any]] = []
         self._health: list[Health] = []
-        self._earlier: dict[str, Health] = {}  # by name: since when its loop is being judged
-        self._late: set[str] = set()  # servers whose loops did not keep their rate
         self._names: list[str] = []
         self._robots: dict[str, tuple[str, bytes, DrawnRobot]] = {}  # by name: server, what it stated, how it is drawn
         self._watch: Watch | None = None
@@ -141,8 +138,7 @@ class Look:
         now_s, now_wall_ns = self.clock.monotonic_s(), self.clock.wall_ns()
         bus, stop = self._bus_state(now_s), self._stop(now_wall_ns)
         robots, recorder = [self._robot_state(name, now_s) for name in self._robots], self._recorder()
-        servers = [_server(health, now_wall_ns, health.name in self._late) for health in self._health]
-        cameras = self._cameras(now_wall_ns)
+        servers, cameras = [_server(health, now_wall_ns) for health in self._health], self._cameras(now_wall_ns)
         alarms = self._with_since(_alarms(bus, stop, robots, recorder, servers, cameras), now_s)
         return {
             "bus": bus, "stop": stop, "robots": robots, "recorder": recorder, "cameras": cameras, "servers": servers,
@@ -282,24 +278,10 @@ class Look:
         for each in health:
             each.wall_ns -= ahead_ns.get(each.boot, 0)
         self._health = sorted(health, key=lambda each: each.name)
-        self._judge_loops()
         if stated != self._stated:
             self._stated, self._facts = stated, [codec.parse_facts(value) for value in stated.values()]
             self._contracts = Contracts(self._facts)
         self._find_robots()
-
-    def _judge_loops(self) -> None:
-        earlier, self._earlier = self._earlier, {}
-        for now in self._health:
-            before = earlier.get(now.name, now)
-            is_another = now.source != before.source or now.wall_ns < before.wall_ns
-            is_due = now.wall_ns - before.wall_ns >= _LOOP_NS
-            self._earlier[now.name] = now if is_due or is_another else before
-            if is_due and now.missed_since(before) > MOST_MISSED:
-                self._late.add(now.name)
-            elif is_due or is_another:
-                self._late.discard(now.name)
-        self._late &= self._earlier.keys()
 
     def _find_robots(self) -> None:
         driven = {health.name for health in self._health if health.role == "low-level" and health.state != "finalized"}
@@ -365,11 +347,11 @@ class Look:
 _OF_GATE = (("gate", "state"), ("reason", "reason"), ("arming", "arming"))
 
 
-def _server(health: Health, now_wall_ns: int, is_late: bool) -> dict[str, Any]:
+def _server(health: Health, now_wall_ns: int) -> dict[str, Any]:
     return {
         "name": _text(health.name), "role": health.role, "state": health.state, "reason": _text(health.reason),
         "rate_hz": health.rate_hz, "jitter_p99_ms": health.jitter_p99_ms, "is_alive": health.is_alive_at(now_wall_ns),
-        "is_late": is_late,
+        "why_late": health.why_late,
         "age_s": round(max(0.0, (now_wall_ns - health.wall_ns) * 1e-9), 2), "host": _text(health.host),
     }  # fmt: skip
 
@@ -388,8 +370,8 @@ def _alarms(
             yield "error", f"server {server['name']} is silent: it died, or it is frozen"
         elif server["state"] == "finalized" and server["reason"] not in ("", "stopped"):
             yield "error", f"server {server['name']} ended: {server['reason']}"
-        elif server["is_alive"] and server["is_late"]:
-            yield "warning", f"server {server['name']}: {TOO_SLOW}"
+        elif server["is_alive"] and server["why_late"]:
+            yield "warning", f"server {server['name']}: {server['why_late']}"
     for robot in robots:
         if robot["gate"] in _GATES_TOLD:
             why = f" ({robot['reason']})" if robot["reason"] else ""

@@ -443,8 +443,6 @@ def _console(key: str, data: bytes) -> None:
     looking._contracts = contracts.Contracts()
     looking._robots = {ROBOT: ("g1", data, DRAWN)}
     looking._health = [found] if (found := decode_health(data)) is not None else []
-    looking._earlier, looking._late = {}, set()
-    looking._judge_loops()
     looking._counts, looking._names, looking._alarms, looking._ahead_ns = {}, [key], {}, {}
     msgspec.json.encode(looking.state())
     looking.urgent()
