@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -85,12 +85,10 @@ class Look:
         is_there, now_s = self._ask_bus(), self.clock.monotonic_s()
         if is_there and now_s >= self._next_look_s:
             self._next_look_s = now_s + _LOOK_S
-            with contextlib.suppress(BusError):  # the state says so; what was known stays
-                self._look_around()
+            self._read(self._look_around)
         if is_there and now_s >= self._next_count_s:
             self._next_count_s = now_s + _COUNT_S
-            with contextlib.suppress(BusError):
-                self._count(now_s)
+            self._read(lambda: self._count(now_s))
         self._follow(wanted)
         frames = {}
         for _, _, robot in self._robots.values():
@@ -264,6 +262,12 @@ class Look:
             else:
                 self._is_there, self._answered_s = True, self.clock.monotonic_s()
         return self._is_there
+
+    def _read(self, read: Callable[[], None]) -> None:
+        """Read something of the bus, which may take a while where there are thousands of keys, and is an answer."""
+        with contextlib.suppress(BusError):  # the state says so; what was known stays
+            read()
+            self._answered_s = self.clock.monotonic_s()
 
     def _look_around(self) -> None:
         """Find the keys, the servers and what they state, and the robots."""

@@ -1,10 +1,12 @@
-"""What a console is told of a server whose loop does not keep its rate."""
+"""What a console is told of a bus with a great many keys, and of a server whose loop does not keep its rate."""
 
 from __future__ import annotations
 
 import contextlib
+import time
 
 import msgspec
+import pytest
 
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -37,3 +39,16 @@ def test_a_loop_that_does_not_keep_its_rate_is_an_alarm_until_it_does(bus_server
         (late,) = alarms(41.0)
         assert late.startswith("server g1: its loop does not keep its rate")
         assert alarms(49.0) == []
+
+
+def test_a_bus_that_takes_a_while_to_be_read_is_there(bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch) -> None:
+    with contextlib.closing(Look(bus_server, "console")) as look:
+        names = look.bus.names
+
+        def many_names(*pattern: str) -> list[str]:
+            time.sleep(0.6)  # as ten thousand take on a slow machine
+            return names(*pattern)
+
+        monkeypatch.setattr(look.bus, "names", many_names)
+        look.step(())
+        assert look.state()["bus"]["linked"]
