@@ -165,7 +165,7 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
                           f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
             if why := health.why_late:
                 rates = f"{health.rate_hz:.0f} of {health.nominal_hz:.0f} Hz"
-                yield Finding("warning", f"loop of {health.name}", f"{rates}: {why}",
+                yield Finding("warning", f"loop of {health.name}", f"{why} ({rates})",
                               "end what else runs there (`top`); a simulation takes less with a longer physics_dt_s",
                               )  # fmt: skip
         elif health.state != "finalized":
