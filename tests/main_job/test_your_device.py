@@ -74,8 +74,9 @@ def test_its_episode_is_good_and_says_who_drove_with_what(driven: Terminal) -> N
 def test_what_the_robot_did_of_it_is_derived_again(driven: Terminal) -> None:
     audit = driven.json("audit", episode(driven))
     assert audit["steps"] > 100
-    # Where a recording begins in the middle of a run, the state or the past of its first step may not be in the file.
-    assert audit["steps"] - audit["observations"]["compared"] <= audit["segments"] == 1
+    # Where a recording begins in the middle of a run, the state or the past of its first step may not be in the file;
+    # behind a step without its state what is derived begins anew.
+    assert audit["steps"] - audit["observations"]["compared"] <= 1 <= audit["segments"] <= 2
     assert (audit["different"], audit["observations"]["different"]) == (0, 0)
 
 
