@@ -26,7 +26,7 @@ class LoopStats(msgspec.Struct, frozen=True):
 
     Attributes:
         rate_hz: Ticks per second over the window.
-        nominal_hz: Those that there are to be.
+        nominal_hz: Ticks per second that there are to be.
         jitter_p50_ms, jitter_p99_ms: How late after its deadline a tick woke [ms].
         overruns: Periods missed since the start.
     """

@@ -60,7 +60,7 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     loads_first: bool = False
 
 
-_KEPT = 0.9  # of its rate, which a loop keeps
+_LEAST = 0.9  # of its nominal rate: a loop that has less is late
 
 
 class Health(msgspec.Struct, kw_only=True):
@@ -102,8 +102,8 @@ class Health(msgspec.Struct, kw_only=True):
 
     @property
     def why_late(self) -> str:
-        """Why its loop has fewer ticks than it is to have, or "": it is that the machine has no time for it."""
-        if not self.rate_hz or not self.nominal_hz or not self.rate_hz < _KEPT * self.nominal_hz:
+        """Why its loop has less than nine tenths of its nominal rate, or "" where it has more, or no loop."""
+        if not self.rate_hz or not self.nominal_hz or not self.rate_hz < _LEAST * self.nominal_hz:
             return ""
         return "its loop does not keep its rate: its machine is too slow for what runs there, or busy"
 

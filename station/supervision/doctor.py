@@ -164,10 +164,9 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
             yield Finding("ok" if health.state == "active" else "warning", f"server {health.name}",
                           f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
             if why := health.why_late:
-                rates = f"{health.rate_hz:.0f} of {health.nominal_hz:.0f} Hz"
-                yield Finding("warning", f"loop of {health.name}", f"{why} ({rates})",
-                              "end what else runs there (`top`); a simulation takes less with a longer physics_dt_s",
-                              )  # fmt: skip
+                found = f"{why} ({health.rate_hz:.0f} of {health.nominal_hz:.0f} Hz)"
+                todo = "end what else runs there (`top`); a simulation takes less with a longer physics_dt_s"
+                yield Finding("warning", f"loop of {health.name}", found, todo)
         elif health.state != "finalized":
             log = logs / f"{health.name}.log"
             is_there = log in logs.glob("*.log")  # of a name from the bus, which may be no name of a file at all

@@ -66,3 +66,9 @@ def up(task: str, *settings: str) -> list[str]:
     """Return the arguments that run the main job unattended and record it."""
     sets = [word for setting in settings for word in ("--set", setting)]
     return ["up", RUNBOOK, "--yes", "--record", "--task", task, *sets]
+
+
+def begins_with_a_state(audit: dict[str, Any]) -> bool:
+    """Whether a recording holds the state of its first step; one that begins behind that state is derived from the next
+    step on, as a run of its own."""
+    return not audit["not_derived"].startswith("step 0 has no robot_state_")

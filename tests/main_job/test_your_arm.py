@@ -16,7 +16,7 @@ from station import Station
 from station.bus.address import parse
 from station.episode.reading.reader import open_episode
 from tests.main_job.page_package import install
-from tests.main_job.station_runs import Terminal
+from tests.main_job.station_runs import Terminal, begins_with_a_state
 from tests.verdicts import OF_LATENESS
 from tests.waiting import bus_answers, wait_until
 
@@ -120,8 +120,8 @@ def episode(terminal: Terminal, task: str = "wave") -> str:
 def expect_derived(audit: dict[str, Any]) -> None:
     """Expect every step to follow from what is recorded; a recording may begin between a state and the step from it."""
     assert audit["steps"] > 100
-    has_first = not audit["not_derived"].startswith("step 0 has no robot_state_")
-    assert audit["segments"] == (1 if has_first else 2), "what is derived begins anew behind a step without its state"
+    has_first = begins_with_a_state(audit)
+    assert audit["segments"] == (1 if has_first else 2)
     assert (audit["different"], audit["observations"]["different"]) == (0, 0)
     assert audit["observations"]["compared"] == audit["steps"] - (not has_first), audit["not_derived"]
 

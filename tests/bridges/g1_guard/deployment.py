@@ -93,7 +93,7 @@ class Deployment:
 
     def start_server(self, guard: str = "") -> None:
         """Start the robot's server at the operator's end, and wait until it has the robot's states."""
-        options: dict[str, Any] = {"interface": INTERFACE, "domain": DOMAIN, "least_state_rate_hz": 450}
+        options: dict[str, Any] = {"interface": INTERFACE, "domain": DOMAIN}
         options |= {"guard": guard, "guard_port": GUARD_PORT} if guard else {}
         sets = ["robot=g1-dds", "policy=default-pose", *(f"robot_options.{key}={options[key]}" for key in options)]
         words = [word for each in sets for word in ("--set", each)]

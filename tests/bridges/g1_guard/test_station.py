@@ -47,7 +47,7 @@ class Lab:
         return subprocess.Popen([str(self._guard), *words], stderr=subprocess.DEVNULL)
 
     def start_robot(self) -> None:
-        options = {"domain": self._number, "guard": "127.0.0.1", "guard_port": self._port, "least_state_rate_hz": 450}
+        options = {"domain": self._number, "guard": "127.0.0.1", "guard_port": self._port}
         sets = [
             "robot=g1-dds",
             "policy=default-pose",

@@ -24,11 +24,13 @@ def test_r3_another_program_drives_the_twin_and_ours_says_who_writes(processes):
         ticking = threading.Thread(target=_tick, args=(twin, child))
         ticking.start()
         ours = G1Dds(G1DdsOptions(), 0.02)
-        refusals = set()
+        refusals, refused_first = set(), None
         try:
             while child.poll() is None:
                 ours.read()
                 refusals.add(ours.why_not_arm())
+                if refused_first is None and twin.firmware.accepted:
+                    refused_first = dict(twin.firmware.refused)
                 time.sleep(0.02)
         finally:
             ticking.join()
@@ -36,7 +38,8 @@ def test_r3_another_program_drives_the_twin_and_ours_says_who_writes(processes):
             twin.close()
         said = far.outcome(child)
     assert twin.firmware.accepted > 500, "it repeats its command at 500 Hz"
-    assert set(twin.firmware.refused) <= {"mode_machine"}, "until it has heard a state, it does not know that"
+    assert twin.firmware.refused == refused_first, "nothing, once it knew the robot"
+    assert set(refused_first) <= {"mode_machine"}, "until it has heard a state, it does not know that"
     assert said["mode_machine"] == 5
     assert said["states"] > 50
     assert any(f"(pid {child.pid})" in why and "another program writes rt/lowcmd" in why for why in refusals)
