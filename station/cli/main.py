@@ -165,4 +165,4 @@ def _show(error: click.ClickException) -> None:
         click.echo(error.format_message(), err=True)
     else:
         told = " ".join(error.format_message().split()).rstrip(".")  # click lists choices in lines of their own
-        _complain(f"{told}. See `{context.command_path} --help`.")
+        _complain(f"{told}{'' if told.endswith('?') else '.'} See `{context.command_path} --help`.")

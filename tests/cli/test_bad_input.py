@@ -76,7 +76,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["up", ""], "which runbook? Name one of commands-only"),
         (["up", "walk"], "unknown runbook 'walk'; expected one of commands-only"),
         (["completion"], "Choose from: bash, zsh, fish. See `station completion --help`."),
-        (["up", "--recrd"], "No such option '--recrd'"),
+        (["up", "--recrd"], "No such option '--recrd'. Did you mean '--record'? See `station up --help`."),
         (["up", "g1-sim-moton"], "unknown runbook 'g1-sim-moton' (did you mean 'g1-sim-motion'?)"),
         (["up", COMMANDS_ONLY, "--for", "soon"], "--for: expected a duration such as 20s, 500ms or 2min, got 'soon'"),
         (["up", COMMANDS_ONLY, "--set", "moton.loop=true"], "no server 'moton' (did you mean 'motion'?)"),
